@@ -11,17 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 from dasim.typing import Float32Array, FloatArray
 
 
-def level_of(depth_m: ArrayLike, level_depth_m: NDArray) -> FloatArray:
-    """Fractional level of depths in metres, from the depths ``level_depth_m`` [level] of a bank's levels.
+def level_of(depth_m: ArrayLike, level_depth_m: NDArray, behind_depth_m: NDArray | None = None) -> FloatArray:
+    """Fractional level of depths in metres, from the depths of a bank's levels, as in :func:`depth_of`.
 
-    The interpolation is linear in dioptres. Outside the range, it is the line through the first and the last level:
-    levels are negative beyond the focus (level 0), and exceed the last level in front of it.
+    The interpolation is linear in dioptres. Outside the range, it continues with the mean step of the levels from the
+    focus on: levels are negative beyond the focus (level 0), and exceed the last level in front of it.
     """
-    vergence, table = 1 / np.asarray(depth_m, np.float64), 1 / np.asarray(level_depth_m, np.float64)
-    last = len(table) - 1
-    between = np.interp(vergence, table, np.arange(len(table)))
-    line = (vergence - table[0]) / (table[-1] - table[0]) * last
-    return np.where((vergence < table[0]) | (vergence > table[-1]), line, between)
+    depths, first = _table(level_depth_m, behind_depth_m)
+    vergence, table = 1 / np.asarray(depth_m, np.float64), 1 / depths
+    inside = np.clip(vergence, table[0], table[-1])
+    between = np.interp(inside, table, np.arange(len(table)) - first)
+    return np.asarray(between + (vergence - inside) / dioptres_per_level(level_depth_m))
 
 
 def level_sd_of(sd_m: NDArray, depth_m: NDArray, level_depth_m: NDArray) -> FloatArray:
@@ -40,6 +40,11 @@ def depth_of(level: NDArray, level_depth_m: NDArray, behind_depth_m: NDArray | N
     ``behind_depth_m`` [level] are the depths of the levels behind the focus, from it outwards, which level -1, -2 and
     so on denote.
     """
+    depths, first = _table(level_depth_m, behind_depth_m)
+    return (1 / np.interp(level, np.arange(len(depths)) - first, 1 / depths)).astype(np.float32)
+
+
+def _table(level_depth_m: NDArray, behind_depth_m: NDArray | None) -> tuple[FloatArray, int]:
+    """Depths in metres of all levels, from the farthest behind the focus to the nearest, and the index of level 0."""
     behind = level_depth_m[:0] if behind_depth_m is None else behind_depth_m[:0:-1]
-    depth_m = np.concatenate([behind, level_depth_m])
-    return (1 / np.interp(level, np.arange(len(depth_m)) - len(behind), 1 / depth_m)).astype(np.float32)
+    return np.concatenate([behind, level_depth_m]).astype(np.float64), len(behind)

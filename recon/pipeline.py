@@ -55,8 +55,10 @@ def reconstruct(
             fills its gaps, and its standard deviation gives the confidence. By default, ``settings.score`` selects it.
         flat: a capture of a uniform surface, for the correction of the lens shading in the pictures.
         progress: called with the name of each stage and the share of stages before it, 0..1.
-        tile_px: largest side of a tile in raw pixels, at least ``LEAST_TILE_PX``. By default, each stage has its own.
-            It affects time and memory, but hardly the result (claim ``recon-large``).
+        tile_px: largest side of a tile in raw pixels, at least ``LEAST_TILE_PX`` (96 px in the deconvolution). By
+            default, each stage has its own.
+            With the score ``joint`` (presets ``best`` and ``fast``) it affects time and memory, but hardly the result
+            (claim ``recon-large``); with other scores small tiles change levels near their borders.
     """
     check_fits(bank, capture)
     if tile_px is not None and tile_px < LEAST_TILE_PX:
@@ -68,11 +70,15 @@ def reconstruct(
     linear = picture.linearised(capture, bank.lights, bank.signature, flat, stage)
     white, light = bank.signature[linear.light], bank.lights[linear.light]
     separation = field.separation(camera, light, settings)
-    captured = _captured(linear, capture, white, separation, settings, stage)
-    variances = raw_levels.variances(linear.raw_e, capture)
+    collected_e = mosaic.collected(linear.raw_e, camera)
+    variances = raw_levels.variances(linear.raw_e, capture, collected_e)
+    captured = _captured(linear, capture, collected_e, white, separation, settings, stage)
+    del collected_e  # limits the memory of large frames
     notes = (*place_notes(bank, camera), *colour.light_notes(linear.raw_e, linear.saturated, camera, bank))
     with stage("depth"):
         found = _levels(capture, bank if method else on_axis, linear, variances, settings, method, tile_px)
+    if bank.behind is None:  # levels behind the focus were clamped to it
+        found = found._replace(side="assumed")
     with stage("regularise"):
         if not found.joined:
             guide = _infrared_guide(captured.ir_e, mosaic.noise_variance(capture, "IR"))
@@ -111,7 +117,11 @@ def reconstruct(
         settings=settings.model_dump(),
         timings_s=timings,
         bank=bank_identity(bank),
-        notes=(*notes, *found.notes, side_note(found.side, level, bank)),
+        notes=(
+            *notes,
+            *found.notes,
+            side_note(found.side, level, bank, None if method is None else method_name(method)),
+        ),
         method=None if method is None else method_name(method),
         side=found.side,
     )
@@ -126,11 +136,17 @@ class _Captured(NamedTuple):
 
 
 def _captured(
-    linear: picture.Linear, capture: Capture, white: NDArray, separation: Separation, settings: Settings, stage: Stage
+    linear: picture.Linear,
+    capture: Capture,
+    collected_e: Float32Array,
+    white: NDArray,
+    separation: Separation,
+    settings: Settings,
+    stage: Stage,
 ) -> _Captured:
     """Reduce the noise of the mosaic, interpolate it, and remove infrared from R, G and B."""
     with stage("denoise"):
-        clean_e = picture.shaded(picture.denoised(linear.raw_e, capture, settings), linear.gain)
+        clean_e = picture.shaded(picture.denoised(linear.raw_e, capture, settings, collected_e), linear.gain)
     image = picture.demosaiced(clean_e, capture.camera, white, stage)
     clipped = picture.clipped(linear.saturated, capture.camera)
     assert image.ir_e is not None  # check_fits requires infrared pixels

@@ -9,6 +9,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from dasim.base.errors import InputError
+from dasim.camera.sensor import Sensor
 from dasim.cli import options
 from dasim.cli.reconstruct import bank_of
 
@@ -52,7 +53,6 @@ def score(
     from validation.method_scores import score_methods
     from validation.methods import named
     from validation.reports.lines import of_claims
-    from validation.reports.view.contents import check_same
     from validation.scores import score as scores
     from validation.scores.depth_files import SUFFIXES, read_depth, read_map
     from validation.scores.measured_truth import score_measured
@@ -90,7 +90,7 @@ def score(
         rebuilt = load_reconstruction(result)
         photo = load_capture(capture)  # also checks that the capture is complete
         truth = load_truth(capture)
-        check_same(rebuilt, photo, str(capture))
+        _check_sensor(rebuilt.camera.sensor, photo.camera.sensor, result, capture)
         if not truth.has("sharp_e"):
             print("note: the truth lacks sharp_e, so that pictures are not scored (a dataset's key truth.keep)")
         figures = scores.score(rebuilt, photo, truth, metrics=metrics)
@@ -102,3 +102,16 @@ def score(
         print("\n".join(of_claims(limited)))
     write_score("score", entries, json_file=json_file, junit=junit)
     return 1 if any(entry.passed is False for entry in entries) else 0
+
+
+def _check_sensor(mine: Sensor, its: Sensor, result: Path, capture: Path) -> None:
+    """Raise InputError if a reconstruction cannot be of a capture, because their mosaics or sizes differ.
+
+    Other data of both cameras may differ: those of a data sheet from those of the hardware.
+    """
+    for name in ("width_px", "height_px", "mosaic"):
+        if getattr(mine, name) != getattr(its, name):
+            raise InputError(
+                f"{result}: its {name} is {getattr(mine, name)}, that of {capture} {getattr(its, name)}; "
+                "give the capture that was reconstructed"
+            )

@@ -172,7 +172,7 @@ def expected(kernels: Float32Array, phases: Sequence[Phase], exponent: float = T
     table = np.zeros((len(kernels), len(weights), kernels.shape[1], kernels.shape[1]))
     for level, own in enumerate(kernels):
         half = fourier.transfer(own, shape)
-        whole = _whole(half, shape).real  # kernels are symmetric but for noise
+        whole = _whole(half, shape)
         for down in (0, 1):
             for right in (0, 1):
                 rows, columns = (index + side * down) % (2 * side), (index + side * right) % (2 * side)
@@ -180,13 +180,9 @@ def expected(kernels: Float32Array, phases: Sequence[Phase], exponent: float = T
                 part = whole[:, rows[:, None], columns]
                 sign = np.array([(-1.0) ** (down * y + right * x) for y, x in phases])
                 p = power[rows[:, None], columns]
-                table[level] += np.einsum(
-                    "bxy,ixy,jxy->bij",
-                    weights * p,
-                    part * sign[:, None, None],
-                    part * sign[:, None, None],
-                    optimize=True,
-                )
+                signed = part * sign[:, None, None]
+                for image in (signed.real, signed.imag):  # the real part of H_i conj H_j
+                    table[level] += np.einsum("bxy,ixy,jxy->bij", weights * p, image, image, optimize=True)
     return table
 
 

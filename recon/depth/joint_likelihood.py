@@ -173,6 +173,7 @@ def _fit(  # pragma: no cover - compiled
                 for i in range(d):
                     own[b, i] = max(s[b, i, i], n[b, i, i])
             for step in range(ITERATIONS):
+                is_last = step == ITERATIONS - 1
                 for i in range(d):
                     for j in range(i, d):
                         top, bottom = 0.0, 1e-30
@@ -189,7 +190,6 @@ def _fit(  # pragma: no cover - compiled
                         if i != j:
                             most = MOST_CORRELATION * np.sqrt(sigma[i, i] * sigma[j, j])
                             sigma[i, j] = min(max(sigma[i, j], -most), most)
-                total = 0.0
                 for b in range(bands):
                     for i in range(d):
                         for j in range(d):
@@ -201,7 +201,7 @@ def _fit(  # pragma: no cover - compiled
                     _invert_lower(lower, inverse, d)
                     trace, slope, curve, cross = 0.0, 0.0, 0.0, 0.0
                     for i in range(d):
-                        for j in range(d):
+                        for j in range(i + 1):
                             white, model = 0.0, 0.0
                             for k in range(i + 1):
                                 for m in range(j + 1):
@@ -211,10 +211,12 @@ def _fit(  # pragma: no cover - compiled
                             if i == j:
                                 trace += white
                                 slope += model
-                            curve += model * model
-                            cross += model * white
+                            times = 1.0 if i == j else 2.0
+                            curve += times * model * model
+                            cross += times * model * white
                     divergence = max(0.5 * number[b] * (det + trace - log_det[b] - d), 0.0)
-                    total -= nu * np.log(1 + divergence / nu)
+                    if is_last:
+                        total -= nu * np.log(1 + divergence / nu)
                     if reweighted:
                         trust[b] = nu / (nu + divergence)
                     pull[b] = 0.5 * trust[b] * number[b] * (cross - slope)
@@ -223,7 +225,7 @@ def _fit(  # pragma: no cover - compiled
                         curvature[b, k] = precision[b, k]
                     curvature[b, b] += 0.5 * trust[b] * number[b] * curve
                 det = _cholesky(curvature, root, bands)
-                if step < ITERATIONS - 1:
+                if not is_last:
                     _solve(root, pull, bands)
                     for b in range(bands):
                         q[b] += min(max(pull[b], -1.0), 1.0)

@@ -87,7 +87,7 @@ def on_blocks(estimate: DepthEstimate, bank: PsfBank) -> tuple[Float32Array, Flo
     """
     level, sd = estimate.level, estimate.sd
     if estimate.depth_m is not None:
-        level = levels.level_of(estimate.depth_m, bank.depth_m)
+        level = levels.level_of(estimate.depth_m, bank.depth_m, None if bank.behind is None else bank.behind.depth_m)
         sd = None if sd is None else levels.level_sd_of(sd, estimate.depth_m, bank.depth_m)
     assert level is not None  # DepthEstimate has a level or a depth
     known = np.isfinite(level)

@@ -28,10 +28,17 @@ NOISE_BLUR_PX = 1.5  # sigma in plane pixels of the local mean that the noise va
 FALLBACK_TRUST = 0.25  # factor on the confidence of red and blue, whose blur differs little from green's (sec. 5.3)
 
 
-def variances(raw_e: Float32Array, capture: Capture) -> dict[str, Float32Array]:
-    """Noise variance of each colour plane, [h/2, w/2]: from the data sheet, or higher where the picture is noisier."""
+def variances(
+    raw_e: Float32Array, capture: Capture, collected_e: Float32Array | None = None
+) -> dict[str, Float32Array]:
+    """Noise variance of each colour plane, [h/2, w/2]: from the data sheet, or higher where the picture is noisier.
+
+    ``collected_e`` is by default computed by :func:`recon.picture.mosaic.collected`.
+    """
     variances = {}
-    collected = mosaic.planes(mosaic.collected(raw_e, capture.camera), capture.camera)
+    if collected_e is None:
+        collected_e = mosaic.collected(raw_e, capture.camera)
+    collected = mosaic.planes(collected_e, capture.camera)
     for name, plane in mosaic.planes(raw_e, capture.camera).items():
         smooth = cv2.GaussianBlur(collected[name], (0, 0), NOISE_BLUR_PX)
         variance: Float32Array = mosaic.noise_variance(capture, name).at(smooth)

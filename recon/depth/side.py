@@ -76,12 +76,12 @@ def signed(near: Map, far: Map, behind: Float32Array) -> Map:
     return Map(level, sd, *_chosen(near.window_level, near.window_sd, far.window_level, far.window_sd, behind))
 
 
-def side_note(side: Side, level: NDArray, bank: PsfBank) -> str:
-    """A sentence for the user on how the side of the focus is known."""
+def side_note(side: Side, level: NDArray, bank: PsfBank, method: str | None = None) -> str:
+    """A sentence for the user on how the side of the focus is known; ``method`` is the name of a user's method."""
     focus_m = bank.camera.lens.focus_distance_m
     if side == "estimated":
-        share = float((level < 0).mean())
-        return f"the side of the focus at {focus_m:g} m is estimated from axial colour: {share:.1%} of pixels behind it"
+        share, how = float((level < 0).mean()), f"by method '{method}'" if method else "from axial colour"
+        return f"the side of the focus at {focus_m:g} m is estimated {how}: {share:.1%} of pixels behind it"
     why = "the bank has no levels behind it; only axial colour tells the sides apart"
     if bank.behind is not None:
         why = "this method does not tell the sides apart"

@@ -37,6 +37,7 @@ PRIVATE = b"dasim\0"  # start of DNGPrivateData
 CFA, LINEAR_RAW = 32803, 34892  # photometric interpretations
 FILTERS = {"R": 0, "G": 1, "B": 2, "IR": 6}  # codes of CFAPattern; 6 is white
 ILLUMINANTS = {"D65": 21, "D55": 20, "A": 17, "energy-saving-3500K": 15}  # EXIF LightSource
+OTHER_LIGHT = 255
 LINEAR_BLACK_DN = 1024  # of the linear pages: values below zero, which noise has, are kept
 
 Tag = tuple[int, int | str, int | None, Any, bool]  # of tifffile: code, type, count, value, written once
@@ -111,7 +112,7 @@ def write_linear_dng(path: Path, capture: Capture, developed: Developed) -> None
         *_about(capture),
         *levels,
         _matrix(50721, from_xyz / (from_xyz @ white).max()),
-        (50778, SHORT, 1, ILLUMINANTS[developed.light], True),
+        (50778, SHORT, 1, ILLUMINANTS.get(developed.light, OTHER_LIGHT), True),
         _rationals(50728, neutral / neutral.max()),
     ]
     written = [(pages.rgb, LINEAR_RAW, 0, tags)]

@@ -67,8 +67,9 @@ def read_table(
     if not path.is_file():
         raise InputError(f"captures {folder}: no table {TABLE}; it needs the columns {', '.join(COLUMNS[:4])}")
     try:
-        text = [line for line in untrusted.text(path, f"captures {path}").splitlines() if line.strip()]
-        rows = list(csv.reader(line for line in text if not line.lstrip().startswith("#")))
+        text = untrusted.text(path, f"captures {path}").splitlines()
+        numbers = [number for number, line in enumerate(text, 1) if line.strip() and not line.lstrip().startswith("#")]
+        rows = list(csv.reader(text[number - 1] for number in numbers))
     except csv.Error as error:
         raise InputError(f"captures {path}: cannot be read as a table ({error})") from None
     names = [name.strip() for name in rows[0]] if rows else []
@@ -84,7 +85,7 @@ def read_table(
     if ("shift_x_px" in names) != ("shift_y_px" in names) or ("position" in names and "shift_x_px" in names):
         raise InputError(f"captures {path}: give position, or shift_x_px with shift_y_px, or neither")
     lines, problems, seen = [], [], set()
-    for number, row in enumerate(rows[1:], 2):
+    for number, row in zip(numbers[1:], rows[1:], strict=False):  # an entry in quotes may take several lines
         label = f"line {number}"
         if len(row) != len(names):
             problems.append(f"{label} of {TABLE}: has {len(row)} entries, the first line has {len(names)}")

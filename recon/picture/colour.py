@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.camera import noise
 from dasim.camera.radiometry import response
 from dasim.camera.rings import rings
 from dasim.camera.sensor import channels
@@ -26,6 +27,7 @@ MINKOWSKI = 4.0  # between grey world (1) and white patch (infinity): "shades of
 # Log-chromaticity distance of a note: D65 and A differ by 1.46, photographs from their light by less than 0.5, a grey
 # card under lamps that a bank lacks from its nearest light by 0.6 to 0.85 (F5, LED-B5, LED-V1, F3.4).
 FAR_LIGHT = 0.55
+NOISE_SD = 3.0
 BLOCK_PX = 8  # side of the blocks of a plane, whose average suppresses noise and clipped points
 
 
@@ -51,7 +53,11 @@ def choose_light(
 def light_distances(
     raw_e: Float32Array, saturated: NDArray, camera: Camera, lights: Sequence[str], signature: NDArray
 ) -> FloatArray | None:
-    """Log-chromaticity distance of a picture's white from every light, [light]; None for a picture without light."""
+    """Log-chromaticity distance of a picture's white from every light, [light].
+
+    None for a picture without light, whose means are within ``NOISE_SD`` standard deviations of a block's noise.
+    """
+    dark_e = NOISE_SD * float(np.hypot(camera.sensor.read_noise_e, noise.electrons_per_dn(camera.sensor) / 12**0.5))
     planes = mosaic.planes(raw_e, camera)
     unsaturated = (~mosaic.saturated_blocks(saturated)).astype(np.float32)
     whole = _averaged(unsaturated) > 1 - 1e-3
@@ -63,7 +69,7 @@ def light_distances(
         relative = field.relative_white(camera, light, angles)
         shares = [field.on_grid(row, place) for row in relative]
         mean = np.array([_minkowski(block / share) for block, share in zip(blocks.values(), shares, strict=True)])
-        if not np.all(mean > 0):
+        if not np.all(mean > dark_e / BLOCK_PX):
             return None
         measured = np.log(mean / mean[list(planes).index("G")])
         expected = np.log(np.maximum(white, np.finfo(np.float32).tiny))

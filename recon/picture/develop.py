@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dasim.base.errors import InputError
 from dasim.camera import noise
 from dasim.camera.specification import Camera
+from dasim.spectra import illuminants
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.typing import BoolArray, Float32Array, Progress
 from dasim.values import Capture, Developed
@@ -57,13 +58,18 @@ def develop(
     Args:
         capture: the raw picture.
         settings: of noise reduction and infrared removal.
-        lights: candidates of the white balance, by the camera's response curves.
+        lights: names of the candidates of the white balance, one or more (:func:`dasim.illuminant` lists them), by the
+            camera's response curves; InputError for an unknown name.
         flat: a capture of a uniform surface, for the correction of the lens shading.
         progress: called with the name of each stage and the share of stages before it, 0..1.
     """
     camera = capture.camera
     timings: dict[str, float] = {}
     stage = stages(STAGES, timings, progress)
+    if not lights:
+        raise InputError("lights: is empty; give the names of one light or more, such as 'D65'")
+    for name in lights:
+        illuminants.illuminant(name)  # raises for an unknown name
     signature = colour.signatures(camera, lights)
     linear = linearised(capture, lights, signature, flat, stage)
     with stage("denoise"):
@@ -102,16 +108,19 @@ def linearised(
     return Linear(raw_e, saturated, light, gain)
 
 
-def denoised(raw_e: Float32Array, capture: Capture, settings: Settings) -> Float32Array:
+def denoised(
+    raw_e: Float32Array, capture: Capture, settings: Settings, collected_e: Float32Array | None = None
+) -> Float32Array:
     """Noise reduction of sec. 4.1 on each grid of a mosaic [h, w] electrons; unchanged if the settings turn it off.
 
-    The guide is the electrons before the correction of pixel crosstalk, to which the sensor's noise model applies. The
-    two grids of a quincunx (green of a Bayer block, three channels of the 4x4 block) are denoised separately.
+    The guide is the electrons before the correction of pixel crosstalk, to which the sensor's noise model applies:
+    ``collected_e``, by default computed by :func:`recon.picture.mosaic.collected`. The two grids of a quincunx (green
+    of a Bayer block, three channels of the 4x4 block) are denoised separately.
     """
     if not settings.denoise:
         return raw_e
     camera = capture.camera
-    clean, collected = np.empty_like(raw_e), mosaic.collected(raw_e, camera)
+    clean, collected = np.empty_like(raw_e), mosaic.collected(raw_e, camera) if collected_e is None else collected_e
     variance = noise.variance(camera.sensor, capture.exposure_s, capture.gain)
     for channel_grids in mosaic.grids(camera).values():
         for row, column, step in channel_grids:

@@ -191,15 +191,19 @@ def _agree_with_samples(sharp_e: Float32Array, frame: Frame, stack: Float32Array
     sparse to determine the detail between them.
     """
     grids = mosaic.grids(frame.camera)
+    matrices, place = frame.separation.matrices, frame.separation.place[::2, ::2]
     samples: list[Samples | None] = []
-    for index, (name, row) in enumerate(zip("RGB", frame.separation.on_axis, strict=True)):
+    for index, (name, rows) in enumerate(zip("RGB", np.moveaxis(matrices, 1, 0), strict=True)):
         if grids[name][0].step == mosaic.PERIOD_PX:
             samples.append(None)
             continue
         # At the samples of a channel, the other channels are interpolated.
-        weights = np.where(np.arange(len(row)) == index, 1, INTERPOLATED_NOISE_SHARE**2) * row**2
-        parts = [np.float32(a) * frame.variances[other] for other, a in zip(CHANNELS, weights, strict=True) if a]
-        samples.append(Samples(mosaic.sites(grids[name], frame.level.shape), stack[index], np.sum(parts, axis=0)))
+        weights = np.where(np.arange(rows.shape[1]) == index, 1, INTERPOLATED_NOISE_SHARE**2) * rows**2
+        variance = np.zeros(place.shape, np.float32)
+        for other, of_rings in zip(CHANNELS, weights.T, strict=True):
+            if of_rings.any():
+                variance += field.on_grid(of_rings, place) * frame.variances[other]
+        samples.append(Samples(mosaic.sites(grids[name], frame.level.shape), stack[index], variance))
     blur_px = np.float32(TRAINED_PX) * frame.level
     false_detail.remove(sharp_e, samples, frame.linear_e, blur_px)
     lost_detail.restore(sharp_e, samples, blur_px, np.float32(TRAINED_PX) * sd_of(frame.confidence).astype(np.float32))

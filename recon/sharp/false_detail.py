@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 
 from dasim.typing import Float32Array
-from recon.sharp.samples import WINDOW_PX, Samples, between, blurs, change_near_focus, place, window_means
+from recon.sharp.samples import WINDOW_PX, Samples, between, blurs, change_near_focus, place, weights, window_means
 
 PRECISION = 4.0  # of the prior; 1 to 4 tie on ``tune``
 BESIDE = np.zeros((5, 5), np.float32)  # samples of a channel are two pixels apart
@@ -47,11 +47,11 @@ def remove(
     """
 
     def unconfirmed(strip: Float32Array, own: list[Samples | None], rows: slice) -> Float32Array:
-        at, result = place(np.abs(blur_px[rows]).astype(np.float32)), np.zeros_like(strip)
+        mixture, result = weights(place(np.abs(blur_px[rows]).astype(np.float32))), np.zeros_like(strip)
         for channel, one in enumerate(own):
             if one is not None:
                 image = strip[..., channel]
-                share = _confirmed(one, between(blurs(image), at))
+                share = _confirmed(one, between(blurs(image), mixture))
                 result[..., channel] = (1 - share) * (captured_e[rows, :, channel] - image)
         return result
 

@@ -59,12 +59,14 @@ class Part:
 
 def levels_of_nodes(levels: int, focus: int = 0) -> list[int]:
     """Indices of the levels of a bank that are deconvolved; fewer far from the ``focus``, where relative steps are
-    small.
+    small. The outermost level of each side is among them.
     """
-    dense = list(range(min(DENSE_LEVELS, levels)))
-    away = dense + list(range(DENSE_LEVELS, levels, SPARSE_STEP))
-    behind = [focus - step for step in reversed(away) if 0 < step <= focus]
-    return behind + [focus + step for step in away if step < levels - focus]
+
+    def steps(last: int) -> list[int]:
+        away = [*range(min(DENSE_LEVELS, last + 1)), *range(DENSE_LEVELS, last + 1, SPARSE_STEP)]
+        return away if away[-1] == last else [*away, last]
+
+    return [focus - step for step in reversed(steps(focus)[1:])] + [focus + step for step in steps(levels - 1 - focus)]
 
 
 def parts(

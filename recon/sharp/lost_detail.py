@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 
 from dasim.typing import Float32Array
-from recon.sharp.samples import Samples, between, blurs, change_near_focus, place, window_means
+from recon.sharp.samples import Samples, between, blurs, change_near_focus, place, weights, window_means
 
 BILINEAR = np.outer([0.5, 1.0, 0.5], [0.5, 1.0, 0.5]).astype(np.float32)  # between samples at every second pixel
 
@@ -47,13 +47,13 @@ def restore(
     def lost(strip: Float32Array, own: list[Samples | None], rows: slice) -> Float32Array:
         size, spread = np.abs(blur_px[rows]).astype(np.float32), sd_px[rows]
         least, result = np.full(strip.shape, np.inf, np.float32), np.zeros_like(strip)
-        places = [place(diameter) for diameter in (size, size + spread)]
+        mixtures = [weights(place(diameter)) for diameter in (size, size + spread)]
         for channel, one in enumerate(own):
             if one is None:
                 continue
             of_channel = blurs(strip[..., channel])
-            for at in places:
-                share, difference = _unexplained(one, between(of_channel, at))
+            for mixture in mixtures:
+                share, difference = _unexplained(one, between(of_channel, mixture))
                 better = share < least[..., channel]
                 np.copyto(least[..., channel], share, where=better)
                 np.copyto(result[..., channel], share * difference, where=better)

@@ -63,21 +63,27 @@ def refocus(
     camera = reconstruction.camera
     _check(reconstruction, bank, depth_m, f_number)
     ratio = 1.0 if f_number is None else camera.lens.f_number / f_number
-    kernels = colour_kernels(reconstruction, bank)
-    steps = (reconstruction.level - float(level_of(depth_m, bank.depth_m))) * ratio
-    return layered(reconstruction.sharp_e, steps, kernels)
+    kernels, behind = colour_kernels(reconstruction, bank)
+    focus = level_of(depth_m, bank.depth_m, None if bank.behind is None else bank.behind.depth_m)
+    steps = (reconstruction.level - float(focus)) * ratio
+    return layered(reconstruction.sharp_e, steps, kernels, behind)
 
 
-def colour_kernels(reconstruction: Reconstruction, bank: PsfBank) -> Float32Array:
-    """Kernels of R, G, B without infrared and without the pixel's area, [level, 3, size, size]; level 0 is a point."""
+def colour_kernels(reconstruction: Reconstruction, bank: PsfBank) -> tuple[Float32Array, Float32Array]:
+    """Kernels of R, G, B without infrared and without the pixel's area, [level, 3, size, size], in front of the focus
+    and behind it; level 0 is a point. Where the bank has none behind the focus, they are those in front of it.
+    """
     bank = field.with_infrared_of_axis(bank)
     light = bank.lights.index(reconstruction.light)
     separation = infrared.separation(reconstruction.camera, reconstruction.light, Settings(**reconstruction.settings))
-    visible = sharpen.visible_kernels(bank.kernel[light], bank.signature[light], separation)[:, :3]
-    kernels = without_pixel(visible)
-    kernels[0] = 0
-    kernels[0, :, kernels.shape[-2] // 2, kernels.shape[-1] // 2] = 1
-    return kernels
+    sides = [bank.kernel] if bank.behind is None else [bank.kernel, bank.behind.kernel]
+    found = []
+    for measured in sides:
+        kernels = without_pixel(sharpen.visible_kernels(measured[light], bank.signature[light], separation)[:, :3])
+        kernels[0] = 0
+        kernels[0, :, kernels.shape[-2] // 2, kernels.shape[-1] // 2] = 1
+        found.append(kernels)
+    return found[0], found[-1]
 
 
 def without_pixel(kernels: NDArray) -> Float32Array:
@@ -93,32 +99,35 @@ def without_pixel(kernels: NDArray) -> Float32Array:
     return np.asarray(clean / clean.sum(axis=(-1, -2), keepdims=True), np.float32)
 
 
-def layered(sharp_e: NDArray, steps: NDArray, kernels: NDArray) -> Float32Array:
+def layered(sharp_e: NDArray, steps: NDArray, kernels: NDArray, behind: NDArray | None = None) -> Float32Array:
     """A sharp picture [h, w, 3] blurred by ``steps`` [h, w] levels, positive nearer than the focus.
 
     Each pixel is split between the two nearest layers. The light and the coverage of each layer are blurred by its
     kernel, and the layers are composited from near to far, each into the part of the aperture that is still free.
     Coverages add instead of multiplying, because neighbouring layers mostly belong to one surface without gaps. The
-    farther surface is continued behind the rim of every nearer one, with its colours at the rim. ``kernels`` is
-    [level, 3, size, size].
+    farther surface is continued behind the rim of every nearer one, with its colours at the rim. ``kernels`` and those
+    of negative steps, ``behind``, are [level, 3, size, size]; by default they are the same.
     """
+    far = kernels if behind is None else behind
     nodes = _nodes(float(steps.min()), float(steps.max()))
     index = np.interp(steps, nodes, np.arange(len(nodes))).astype(np.float32)
     first, last = int(index.min()), int(np.ceil(index.max()))
-    layer_kernels = {node: _kernel(kernels, abs(nodes[node])) for node in range(first, last + 1)}
+    layer_kernels = {
+        node: _kernel(kernels if nodes[node] >= 0 else far, abs(nodes[node])) for node in range(first, last + 1)
+    }
     reach = max(kernel.shape[-1] for kernel in layer_kernels.values()) // 2
     rim = ((reach, reach), (reach, reach))
     picture = np.pad(np.asarray(sharp_e, np.float32), (*rim, (0, 0)), "symmetric")
     position = np.pad(index, rim, "symmetric")
-    behind, behind_position = _behind(picture, position, np.asarray(nodes), reach)
+    hidden, hidden_position = _behind(picture, position, np.asarray(nodes), reach)
     free = np.ones((3, *position.shape), np.float32)
     light = np.zeros_like(free)
     for node in range(last, first - 1, -1):
-        shares = _share(position, node), _share(behind_position, node)
+        shares = _share(position, node), _share(hidden_position, node)
         cover = shares[0] + shares[1]
         if not cover.any():
             continue
-        emitted = np.moveaxis(shares[0][..., None] * picture + shares[1][..., None] * behind, -1, 0)
+        emitted = np.moveaxis(shares[0][..., None] * picture + shares[1][..., None] * hidden, -1, 0)
         box = _box(cover > 0, layer_kernels[node].shape[-1] // 2)
         blurred_cover = _blurred(np.broadcast_to(cover, emitted.shape)[:, *box], layer_kernels[node])
         visible = free[:, *box] / np.maximum(np.maximum(blurred_cover, free[:, *box]), np.float32(1e-6))
@@ -175,7 +184,12 @@ def _kernel(kernels: NDArray, step: float) -> Float32Array:
     if step <= last:
         return np.asarray(layers.cut(kernels[int(step)], KERNEL_SHARE), np.float32)
     widest = layers.cut(kernels[last], KERNEL_SHARE)
-    size = min(int(widest.shape[-1] * step / last) // 2 * 2 + 1, LARGEST_KERNEL_PX)
+    size = int(widest.shape[-1] * step / max(last, 1)) // 2 * 2 + 1
+    if size > LARGEST_KERNEL_PX:
+        raise InputError(
+            f"refocus: the blur would be {size} px wide, at most {LARGEST_KERNEL_PX} px are allowed; take a larger "
+            "f-number or a depth nearer to the objects"
+        )
     wide = np.stack([cv2.resize(k, (size, size), interpolation=cv2.INTER_LINEAR) for k in widest.astype(np.float32)])
     return np.asarray(wide / wide.sum(axis=(1, 2), keepdims=True), np.float32)
 

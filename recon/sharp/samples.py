@@ -72,10 +72,14 @@ def blurs(image: Float32Array) -> list[Float32Array]:
     return [image, *(np.asarray(cv2.GaussianBlur(image, (0, 0), float(sigma)), np.float32) for sigma in SIGMAS_PX[1:])]
 
 
-def between(images: Sequence[Float32Array], place: Float32Array) -> Float32Array:
-    """Linear interpolation between images at the fractional index of each pixel, [h, w]."""
-    weights = (np.maximum(1 - np.abs(place - np.float32(number)), 0) for number in range(len(images)))
-    return np.asarray(sum(weight * image for weight, image in zip(weights, images, strict=True)), np.float32)
+def weights(place: Float32Array) -> list[Float32Array]:
+    """Weights of the images of :func:`blurs` at the fractional index of each pixel, [h, w]."""
+    return [np.maximum(1 - np.abs(place - np.float32(number)), 0) for number in range(len(SIGMAS_PX))]
+
+
+def between(images: Sequence[Float32Array], of_images: Sequence[Float32Array]) -> Float32Array:
+    """Linear interpolation between images with their :func:`weights`, [h, w]."""
+    return np.asarray(sum(weight * image for weight, image in zip(of_images, images, strict=True)), np.float32)
 
 
 def window_means(images: Sequence[Float32Array], shape: tuple[int, ...]) -> list[Float32Array]:

@@ -11,3 +11,10 @@ def test_parabola_finds_a_fractional_level():
     score = np.broadcast_to(0.9 - 0.002 * (k - 11.3) ** 2, (29, 3, 3)).astype(np.float32)
     level, _ = peak.best_level(score, score.max(axis=0), np.zeros(29), PAPER.window_px)
     np.testing.assert_allclose(level, 11.3, atol=1e-2)
+
+
+def test_of_two_levels_the_better_one_is_taken():
+    score = np.array([[[0.2, 0.9]], [[0.7, 0.1]]], np.float32)
+    level, confidence = peak.best_level(score, score.max(axis=0), np.zeros(2), PAPER.window_px)
+    np.testing.assert_array_equal(level, [[1, 0]])
+    assert np.isfinite(confidence).all()

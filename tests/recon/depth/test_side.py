@@ -114,6 +114,17 @@ def test_depths_of_signed_levels_lie_on_one_line_in_dioptres():
     np.testing.assert_array_equal(levels.depth_of(np.array([-2.0]), near_m), np.float32([1 / 5]))
 
 
+def test_measured_depths_behind_the_focus_are_read_both_ways():
+    """Set-up: depths of a calibration that are up to a quarter of a level off, on both sides."""
+    off = np.array([0.2, -0.25, 0.1, -0.2, 0, 0.1, -0.2, 0.25])
+    vergence = 5 + 0.7 * (np.arange(-4, 4) + off)
+    near_m, behind_m = 1 / vergence[4:], 1 / vergence[4::-1]
+    level = np.array([-4, -2.5, -1, 0, 1.5, 3])
+    np.testing.assert_allclose(
+        levels.level_of(levels.depth_of(level, near_m, behind_m), near_m, behind_m), level, atol=1e-5
+    )
+
+
 def test_the_note_says_how_the_side_is_known():
     camera, level = recon_scenes.da_mobile(512, 384), np.array([[-1.0, 2.0, 3.0, 1.0]])
     one = np.ones((1, 1, 4, 1, 1), np.float32)
@@ -123,6 +134,7 @@ def test_the_note_says_how_the_side_is_known():
     assert all("assumed: everything is taken to be nearer than 0.4 m" in note for note in assumed)
     assert "the bank has no levels behind" in assumed[0] and "this method does not tell" in assumed[1]
     assert "estimated from axial colour: 25.0% of pixels behind" in side.side_note("estimated", level, both)
+    assert "estimated by method 'mine': 25.0%" in side.side_note("estimated", level, both, "mine")
 
 
 def test_a_side_that_knows_nothing_leaves_the_other_as_it_is():

@@ -182,6 +182,19 @@ def test_measured_crosstalk_is_that_of_the_curves(name):
     )
 
 
+@pytest.mark.parametrize(("lights", "words"), [((), "lights: is empty"), (("D65", "D56"), "D56")])
+def test_lights_that_do_not_exist_are_refused(lights, words):
+    with pytest.raises(InputError, match=words):
+        recon.develop(capture(small("da-mobile"), ramp(), "D65"), lights=lights)
+
+
+def test_a_frame_without_light_has_no_white():
+    """Set-up: a capture with the lens covered. Expectation: a note that it is too dark, not one on another light."""
+    dark = capture(small("da-mobile"), np.zeros(SIZE_PX[::-1]), "D65")
+    notes = recon.reconstruct(dark, recon_scenes.bank()).notes
+    assert any("too dark" in note for note in notes) and not any("far from every light" in note for note in notes)
+
+
 def test_measured_crosstalk_is_used():
     camera = small("da-mobile")
     settings = recon.PAPER.model_copy(update={"crosstalk": (0.9, 0.2, 0.1)})

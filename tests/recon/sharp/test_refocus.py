@@ -54,7 +54,23 @@ def scene(sharp_e, level):
 
 @cache
 def kernels():
-    return colour_kernels(scene(np.zeros((8, 8, 3)), np.zeros((8, 8))), recon_scenes.bank())
+    return colour_kernels(scene(np.zeros((8, 8, 3)), np.zeros((8, 8))), recon_scenes.bank())[0]
+
+
+def test_each_side_of_the_focus_has_kernels_of_its_own():
+    """Set-up: two points, one on either side of the focus, and kernels of different width per side."""
+    sharp, steps = np.zeros((40, 80, 3), np.float32), np.full((40, 80), 3.0)
+    sharp[20, [20, 60]] = 1000
+    steps[:, 40:] = -3
+    narrow, wide = kernels(), kernels()[np.minimum(2 * np.arange(len(kernels())), len(kernels()) - 1)]
+    alike, apart = layered(sharp, steps, narrow), layered(sharp, steps, narrow, wide)
+    np.testing.assert_allclose(apart[:, :30], alike[:, :30], atol=1e-2)
+    assert apart[20, 60, 1] < 0.8 * alike[20, 60, 1]
+
+
+def test_blur_that_no_kernel_holds_is_refused():
+    with pytest.raises(InputError, match="at most 401 px"):
+        layered(np.ones((32, 32, 3), np.float32), np.full((32, 32), 400.0), kernels())
 
 
 def texture(height=96, width=128):

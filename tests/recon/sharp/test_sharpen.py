@@ -22,12 +22,22 @@ EDGE_FACTOR = 2.0  # what replacing the other side's light gains at least; it is
 
 
 def test_deconvolved_levels_are_as_far_from_the_focus_on_both_sides():
-    """Expectation: those of a bank of one side, and their mirror image as far as the other side goes."""
+    """Expectation: those of a bank of one side, and their mirror image as far as the other side goes, whose last level
+    is among them.
+    """
     near = layers.levels_of_nodes(29)
     for behind in (0, 1, 5, 9):
         signed = [node - behind for node in layers.levels_of_nodes(29 + behind, behind)]
         assert [node for node in signed if node >= 0] == near
-        assert [-node for node in signed if node < 0][::-1] == [node for node in near if 0 < node <= behind]
+        mirrored = [-node for node in signed if node < 0][::-1]
+        assert mirrored == sorted({node for node in near if 0 < node <= behind} | ({behind} - {0}))
+
+
+@pytest.mark.parametrize("levels", [2, 7, 8, 9, 10, 28, 29, 30])
+def test_the_last_level_is_deconvolved(levels):
+    for focus in (0, levels // 2):
+        nodes = layers.levels_of_nodes(levels, focus)
+        assert nodes[0] == 0 and nodes[-1] == levels - 1 and nodes == sorted(set(nodes)) and focus in nodes
 
 
 def test_shrinkage_is_the_minimum():

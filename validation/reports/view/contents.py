@@ -124,7 +124,7 @@ def check_same(result: Reconstruction, capture: Capture, where: str) -> None:
     """Raise InputError if a capture cannot be the one that was reconstructed."""
     if capture.camera != result.camera:
         raise InputError(
-            f"capture {where}: camera '{capture.camera.name}' focused at {capture.camera.lens.focus_distance_m:g} m "
+            f"--capture {where}: camera '{capture.camera.name}' focused at {capture.camera.lens.focus_distance_m:g} m "
             f"is not that of the reconstruction, '{result.camera.name}' focused at "
             f"{result.camera.lens.focus_distance_m:g} m, or differs in a detail; give the capture it was made from"
         )
