@@ -67,7 +67,7 @@ class Truth:
     material_id: NDArray[np.uint32]  # [h, w] 0 is nothing, then ``materials`` in order
     blur_px: Float32Array  # [h, w] signed visible blur diameter, positive nearer than the focus
     level: Float32Array  # [h, w] signed blur level: ``blur_px`` over that of level 1, 1 / (1 - alpha) px by default
-    boundary: NDArray[np.bool_]  # [h, w] the blur disc crosses a depth discontinuity
+    boundary: NDArray[np.bool_]  # [h, w] the blur disc crosses a depth discontinuity within the frame
     channels: tuple[str, ...]  # names of the last axis below
     mean_e: Float32Array  # [h, w, channel] mean electrons of every channel as the lens sees it, with rendering noise
     sharp_e: Float32Array  # [h, w, channel] the same through a pinhole of the same light

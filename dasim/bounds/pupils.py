@@ -24,8 +24,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 from scipy.interpolate import CubicSpline
 
+from dasim.base.errors import InputError
 from dasim.bounds import cramer_rao
-from dasim.camera import geometry, pointspread, radiometry, stops
+from dasim.camera import geometry, pointspread, radiometry, stops, wavefront
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.spectra import grid as spectra
@@ -107,7 +108,14 @@ class _Band:
 
 
 def _bands(camera: Camera, stop: Stop, light: str) -> tuple[list[_Band], FloatArray]:
-    """Bands of width ``BAND_NM`` of the light through a stop, and its relative electrons, [channel]."""
+    """Bands of width ``BAND_NM`` of the light through a stop, and its relative electrons, [channel].
+
+    Raises InputError for a lens or stop with a wavefront of its own, which no transfer function here has.
+    """
+    if not wavefront.is_flat(wavefront.of_stop(camera, stop)):
+        raise InputError(
+            f"camera '{camera.name}': transfer functions of pupils have neither wavefront_nm nor phase_nm; omit them"
+        )
     weights = radiometry.stop_response(camera, stop) * illuminants.illuminant(light)
     total = spectra.integrate(weights)
     f_number, pitch_m = pointspread.working_f_number(camera, 1.0), camera.sensor.pixel_pitch_um * 1e-6

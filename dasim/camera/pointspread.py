@@ -315,7 +315,8 @@ def kernel_size_px(camera: Camera, blur_px: float, field_px: Field = AXIS) -> in
     tail_px = 3 * 0.7e-6 * widest / (camera.sensor.pixel_pitch_um * 1e-6)  # three rings at 700 nm
     colour_px = float(np.abs(geometry.chromatic_blur_px(camera)).max())
     f_number, pitch_um = working_f_number(camera, 1.0), camera.sensor.pixel_pitch_um
-    moved_px = wavefront.reach_px(wavefront.of_lens(camera, angle_deg), f_number, pitch_um)
+    fronts = [wavefront.of_stop(camera, stop, angle_deg) for stop in camera.stops]
+    moved_px = max(wavefront.reach_px(front, f_number, pitch_um) for front in fronts)
     return 2 * int(np.ceil((abs(blur_px) + colour_px) / 2 + moved_px + tail_px)) + 1
 
 

@@ -13,10 +13,14 @@ import numpy as np
 
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
-from dasim.camera import pointspread
+from dasim.camera import noise, pointspread
+from dasim.camera.rings import rings
 from dasim.camera.sensor import Sensor
 from dasim.camera.specification import Camera
 from dasim.values import Capture, Truth
+
+FIXED_PATTERN = 0.01  # of full scale, by which a full well may be read lower
+LABELS = {"objects": "object_id", "materials": "material_id"}  # names in a truth, and the image that counts in them
 
 
 def margin_px(camera: Camera, blur_px: float) -> int:
@@ -51,6 +55,8 @@ def tiled(tiles: Sequence[tuple[Capture, Truth]], width_px: int, height_px: int)
     top = (height - height_px) // 2 // cell_height * cell_height
     left = (width - width_px) // 2 // cell_width * cell_width
     part = (slice(top, top + height_px), slice(left, left + width_px))
+    if rings(first.camera).place[height // 2, width // 2] > 1:
+        raise InputError("tiles: are from off the axis, where the sensor's colours differ; take frames around it")
 
     def stack(*images: np.ndarray) -> np.ndarray:
         return np.concatenate([image[part] for image in reversed(images)])
@@ -67,17 +73,36 @@ def tiled(tiles: Sequence[tuple[Capture, Truth]], width_px: int, height_px: int)
         | {
             "scene": {"name": "tiles", "tiles": [capture.provenance.get("scene", {}) for capture, _ in tiles]},
             "tiles": {"height_px": height_px, "seeds": [capture.seed for capture, _ in tiles]},
-            "saturated_pixels": int(np.count_nonzero(raw_dn == 2**sensor.adc_bits - 1)),
+            "saturated_pixels": int(np.count_nonzero(raw_dn >= _full_dn(sensor, first.gain))),
             "notes": list(dict.fromkeys(note for shot, _ in tiles for note in shot.provenance.get("notes", []))),
         },
     )
-    truths = [truth for _, truth in tiles]
+    truths = _with_common_names([truth for _, truth in tiles])
     arrays: dict[str, Any] = {
         name: stack(*(getattr(truth, name) for truth in truths))
         for name, value in vars(truths[0]).items()
         if isinstance(value, np.ndarray)
     }
     return picture, replace(truths[0], **arrays)
+
+
+def _full_dn(sensor: Sensor, gain: float) -> int:
+    """Least raw number of a saturated pixel: that of a full well, less ``FIXED_PATTERN``, or the converter's end."""
+    full = noise.saturation_e(sensor, gain) / noise.electrons_per_dn(sensor, gain)
+    return min(int(sensor.black_level_dn + (1 - FIXED_PATTERN) * full), 2**sensor.adc_bits - 1)
+
+
+def _with_common_names(truths: list[Truth]) -> list[Truth]:
+    """The truths with labels that count in the same lists of objects and of materials, those of all of them."""
+    for name, image in LABELS.items():
+        if len({getattr(truth, name) for truth in truths}) == 1:
+            continue
+        common = tuple(dict.fromkeys(own for truth in truths for own in getattr(truth, name)))
+        for place, truth in enumerate(truths):
+            numbers = np.array([0, *(common.index(own) + 1 for own in getattr(truth, name))], np.uint32)
+            changes: dict[str, Any] = {name: common, image: numbers[getattr(truth, image)]}
+            truths[place] = replace(truth, **changes)
+    return truths
 
 
 def _check(number: int, capture: Capture, truth: Truth, first: Capture, width_px: int, height_px: int) -> None:

@@ -88,11 +88,11 @@ def depth_of_level(level: NDArray[Any], result: Reconstruction) -> FloatArray:
     levels, first = np.unique(result.level, return_index=True)
     levels = levels.astype(np.float64)
     vergence = 1 / result.depth_m.ravel()[first].astype(np.float64)
-    step_px = geometry.level_blur_px(result.camera)[1]
-    ends = 1 / geometry.depth_of_blur_m(result.camera, step_px * np.arange(2))
-    slope = ends[1] - ends[0]
     if levels[-1] - levels[0] > LEAST_RANGE:
         slope = (vergence[-1] - vergence[0]) / (levels[-1] - levels[0])
+    else:
+        step_px = geometry.level_blur_px(result.camera)[1]
+        slope = float(np.diff(1 / geometry.depth_of_blur_m(result.camera, step_px * np.arange(2)))[0])
     inside = np.clip(level, levels[0], levels[-1])
     found = np.interp(inside, levels, vergence) + slope * (level - inside)
     return np.asarray(1 / np.maximum(found, 1 / FARTHEST_M))

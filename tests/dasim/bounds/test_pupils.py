@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import dasim
+from dasim.base.errors import InputError
 from dasim.bounds import cramer_rao, pupils
 from dasim.camera import geometry, pointspread, stops
 from dasim.camera import sensor as sensors
@@ -98,3 +99,15 @@ def test_discs_off_the_axis_have_the_pupils_transform() -> None:
         lit = electrons > 0.01 * electrons.max()
         result, exact = (one[:, lit].reshape(len(BLURS), -1) for one in (transfer, exact))
         np.testing.assert_allclose(result[:, 1:], exact[:, 1:], atol=DRAWN_TOLERANCE)
+
+
+@pytest.mark.parametrize(
+    ("part", "change"), [("lens", {"wavefront_nm": {"spherical": 80.0}}), ("hole", {"phase_nm": 265.0})]
+)
+def test_wavefronts_are_refused(camera: dasim.Camera, part: str, change: dict) -> None:
+    """Rationale: a bound that leaves an aberration out is up to three times too small."""
+    data = camera.model_dump()
+    (data["lens"] if part == "lens" else data["stops"][1]).update(change)
+    aberrated = dasim.Camera.model_validate(data)
+    with pytest.raises(InputError, match="neither wavefront_nm nor phase_nm"):
+        pupils.camera_transfers(aberrated, BLURS, "D65", SHAPE)

@@ -73,6 +73,16 @@ def test_central_crop_sees_the_pattern_of_the_whole_sensor(make, size):
         np.testing.assert_array_equal(part, of[top : top + size[0], left : left + size[1]])
 
 
+def test_a_window_sees_the_pattern_of_its_part_of_the_sensor(da_mobile):
+    """Expectation: exactly the same numbers, in a window anywhere and in a part of that window."""
+    whole = fixed_pattern(da_mobile.sensor, (1536, 2048))
+    window = cameras.cropped(da_mobile, 200, 100, at_px=(1410, 36))
+    for camera, (x, y) in ((window, (1410, 36)), (cameras.cropped(window, 64, 48), (1478, 62))):
+        size = camera.sensor.height_px, camera.sensor.width_px
+        for part, of in zip(fixed_pattern(camera.sensor, size), whole, strict=True):
+            np.testing.assert_array_equal(part, of[y : y + size[0], x : x + size[1]])
+
+
 def test_patterns_of_two_sensors_and_of_two_kinds_are_independent(make):
     """Expectation: correlations of 262,144 independent pairs below five standard deviations of 1 / 512."""
     first, second = make(sensor_seed=0), make(sensor_seed=1)

@@ -9,7 +9,7 @@ from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera import geometry, pointspread, radial_pattern, radiometry, wavefront, zernike
 from dasim.camera.pupil_pattern import pupil_pattern
-from dasim.camera.specification import Camera
+from dasim.camera.specification import Camera, load_camera
 from dasim.camera.stops import Disc
 from dasim.camera.wavefront import Phase
 from dasim.spectra import grid, illuminants
@@ -302,3 +302,14 @@ def test_one_step_per_camera(da_mobile):
         stop["phase_nm"] = 100.0
     with pytest.raises(InputError, match="one stop may have a phase_nm, these have: open, hole"):
         parse(Camera, data, "camera.toml")
+
+
+@pytest.mark.parametrize("name", ["defocus", "spherical", "coma"])
+def test_a_kernel_is_large_enough_for_the_wavefront_of_a_stop(name: str) -> None:
+    """Expectation: the size is that for the same wavefront of the lens, of which the stop is the only one."""
+    camera = load_camera("bayer-mobile")
+    data = [camera.model_dump(), camera.model_dump()]
+    for part in (data[0]["lens"], data[1]["stops"][0]):
+        part["wavefront_nm"] = {name: 300.0}
+    sizes = [pointspread.kernel_size_px(Camera.model_validate(each), 2.0) for each in data]
+    assert sizes[0] == sizes[1] > pointspread.kernel_size_px(camera, 2.0) + 8

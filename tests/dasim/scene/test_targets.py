@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ import dasim
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera import geometry as camera_geometry
-from dasim.camera import radiometry
+from dasim.camera import noise, radiometry
 from dasim.camera import specification as cameras
 from dasim.camera.pointspread import psf
 from dasim.camera.specification import Camera
@@ -210,6 +212,32 @@ def test_tiles_are_the_middles_of_the_captures_on_whole_cells_of_the_mosaic(name
         assert (np.abs(place - np.subtract(size[::-1], (height, width)) / 2) < cell).all()
 
 
+def test_labels_of_tiles_keep_their_names(far):
+    """Set-up: two captures with one object each, of different names. Expectation: every pixel's number leads to the
+    name that it had.
+    """
+    small = cameras.cropped(far, 64, 48)
+    tiles = []
+    for seed, name in enumerate(["first", "second"]):
+        shot, truth = capture(small, seed)
+        own = (truth.depth_m > 0.5).astype(np.uint32)
+        tiles.append((shot, replace(truth, objects=(name,), object_id=own, materials=("paper",), material_id=own)))
+    _, exact = tiled(tiles, 16, 12)
+    assert exact.objects == ("first", "second") and exact.materials == ("paper",)
+    assert set(np.unique(exact.object_id[12:])) == {0, 1} and set(np.unique(exact.object_id[:12])) == {0, 2}
+    assert exact.material_id.max() == 1
+
+
+def test_full_wells_of_tiles_are_counted(far):
+    """Set-up: a converter that is not at its end where the well is full."""
+    body = far.sensor.model_copy(update={"dn_per_e": 0.1})
+    small = cameras.cropped(far.model_copy(update={"sensor": body}), 64, 48)
+    shot, truth = capture(small, 0)
+    full_dn, _ = noise.expose(np.full((48, 64), 1e6), small.sensor, 0.01, 0)
+    picture, _ = tiled([(replace(shot, raw_dn=full_dn), truth)], 16, 12)
+    assert full_dn.max() < 1023 and picture.provenance["saturated_pixels"] == 16 * 12
+
+
 def test_tiles_that_do_not_fit_are_refused(far):
     small = cameras.cropped(far, 64, 48)
     good = capture(small, 0)
@@ -219,6 +247,7 @@ def test_tiles_that_do_not_fit_are_refused(far):
         ([good, capture(small, 1, exposure_s=0.02)], (16, 12), "tile 1: exposed 0.02 s"),
         ([good, capture(cameras.refocused(small, 1.0), 1)], (16, 12), "tile 1: its camera, focus"),
         ([good, capture(small, 1, blur_px=50.0)], (16, 12), "tile 1: its blur reaches"),
+        ([capture(cameras.cropped("da-mobile", 64, 48, at_px=(0, 0)), 0)], (16, 12), "off the axis"),
     ):
         with pytest.raises(InputError, match=message):
             tiled(tiles, *size)

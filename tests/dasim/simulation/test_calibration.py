@@ -37,6 +37,21 @@ def channel_at(shape, camera) -> np.ndarray:
     return np.tile(block, (shape[0] // 2, shape[1] // 2))
 
 
+def test_pictures_are_taken_at_their_place_of_the_sensor(da_mobile):
+    """Expectation: the sensor's window, whose fixed pattern is in the pictures, lies within 32 periods of the mosaic of
+    the stated place of the field, on its own side of the axis.
+    """
+    places = []
+
+    def model(mean_e, sensor, time_s, seed, gain):
+        x, y = sensor.principal_point_px
+        places.append((sensor.width_px / 2 - x, sensor.height_px / 2 - y))
+        return np.zeros(mean_e.shape, np.uint16), 0
+
+    next(iter(calibration_captures(da_mobile, ("A",), diffraction="off", noise=model, field_px=(700, -500))))
+    assert np.abs(np.array(places) - (700, -500)).max() <= 2 * 32 + 2
+
+
 def test_each_level_and_position_of_the_mosaic_is_taken_once(da_mobile, pictures):
     shifts = {shift for _, shift in pictures}
     assert shifts == {(0, 0), (0, 1), (1, 0), (1, 1)}
