@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from dasim import cli
+from dasim import cli, start
 from dasim.base import atomic
 from validation.studies.sweep.point import Sweep
 from validation.studies.sweep.run import sweep
@@ -27,7 +27,7 @@ cli.main()
 
 LOADING = """
 import os, signal, sys
-from dasim import start
+import {module} as start
 class Loader:
     def find_spec(self, name, path=None, target=None):
         if name == "dasim.cli":
@@ -40,7 +40,9 @@ start.main()
 
 @pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143)])
 def test_signal_while_modules_are_loaded(name, status):
-    done = subprocess.run([sys.executable, "-c", LOADING.format(name=name)], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", LOADING.format(name=name, module=start.__name__)], capture_output=True, text=True
+    )
     assert (done.returncode, done.stderr) == (status, "dasim: stopped; no incomplete output is left\n")
 
 

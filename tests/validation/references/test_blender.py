@@ -60,4 +60,4 @@ def test_another_scene_in_cycles_fails_the_agreement(renderer, monkeypatch, chan
     theirs = blender.renders(scene, camera, 256, [1]).pictures[0]
     ours = shot.truth.mean_e / shot.capture.exposure_s
     found = failed("against-cycles", Evidence(cycles._agreement("steps", ours, theirs)))
-    assert {figure.split(".")[2] for figure in found if figure.startswith("steps.")} == failures
+    assert {figure.split(".")[2] for figure in found if figure.startswith("steps.difference.")} == failures
