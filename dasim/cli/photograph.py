@@ -47,7 +47,7 @@ def render(
         focus: focus distance in metres; by default the scene's, else the camera's
         seed: seed of all random numbers
         size: WxH pixels, a central crop of the sensor at unchanged pixel pitch
-        spp: samples per pixel and stop, or auto: as many as --noise-share requires
+        spp: samples per pixel and stop, by default 64; or auto: as many as --noise-share requires
         noise_share: target of --spp auto: ratio of rendering noise to sensor noise in each channel; 0.25 by default
         noise_at: percentile of the pixels at which --noise-share is meant: 50, the median, by default; at 95, one pixel
             in twenty has more rendering noise

@@ -24,7 +24,7 @@ def view(
 
     Args:
         folder: a reconstruction folder; or a capture folder, for its mosaic, its channels and the truth alone
-        out: the page, an HTML file, out/view.html by default; an earlier one is replaced
+        out: the page, an HTML file, by default out/NAME-view.html with the folder's name; an earlier one is replaced
         capture: the capture folder of the reconstruction, for its mosaic and the truth; by default the folder
             'capture' beside the reconstruction, or NAME beside NAME-recon, if its camera is the same
         bank: the PSF bank of the reconstruction; by default calibrated from the camera's description
@@ -35,7 +35,7 @@ def view(
     from validation.reports.view import page
 
     if out is None:
-        out = Path("out/view.html")
+        out = Path("out") / f"{folder.resolve().name}-view.html"
     elif out.suffix.lower() != ".html" or out.is_dir() or not out.resolve().parent.is_dir():
         raise InputError(f"--out {out}: is not an HTML file in a folder that exists")
     if slices is not None and not 2 <= slices <= MOST_SLICES:

@@ -62,5 +62,5 @@ def noise_notes(sampling: dict[str, Any]) -> list[str]:
     listed = ", ".join(f"{name} {share:.2f} (median {shares['50'][name]:.2f})" for name, share in high.items())
     return [
         f"rendering noise exceeds half of the sensor's own: {listed} of it at percentile 95 of the pixels with "
-        f"{sampling['spp']} samples; take more, or spp 'auto' with noise_at 95"
+        f"{sampling['spp']} samples; take more, or spp 'auto' with noise_at 95 (--spp auto --noise-at 95)"
     ]

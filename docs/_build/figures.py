@@ -143,5 +143,6 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 if __name__ == "__main__":
+    Path(sys.argv[1]).mkdir(parents=True, exist_ok=True)
     for stem, made in FIGURES.items():
         Path(sys.argv[1], f"{stem}.png").write_bytes(png(made()))

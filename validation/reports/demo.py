@@ -144,13 +144,16 @@ def _facts(shot: Shot, result: Reconstruction) -> dict[str, Any]:
 
 
 def overview(shot: Shot, result: Reconstruction) -> NDArray[np.uint8]:
-    """Capture, true depth, estimated depth and all-in-focus picture side by side, small, [h, w, 3] BGR."""
+    """Capture, true depth, estimated depth and all-in-focus picture side by side, small, [h, w, 3] BGR.
+
+    Maps are linear in dioptres, as everywhere: near is bright.
+    """
     import matplotlib
 
-    low, high = float(np.nanmin(shot.truth.depth_m)), float(np.nanmax(shot.truth.depth_m))
+    low, high = 1 / float(np.nanmax(shot.truth.depth_m)), 1 / float(np.nanmin(shot.truth.depth_m))
 
     def coloured(depth_m: NDArray[Any]) -> NDArray[Any]:
-        return matplotlib.colormaps[MAP]((depth_m - low) / max(high - low, 1e-9))[..., :3]
+        return matplotlib.colormaps[MAP]((1 / depth_m - low) / max(high - low, 1e-9))[..., :3]
 
     pictures = (result.rgb, coloured(shot.truth.depth_m), coloured(result.depth_m), result.sharp_rgb)
     row = np.hstack([np.clip(picture, 0, 1) for picture in pictures])

@@ -18,6 +18,7 @@ INK, PAPER = (26, 232), (255, 22)  # grey levels of text and of the page, in the
 FEW_DECADES = 2.5  # a logarithmic axis up to this length has ticks at 1, 2 and 5 of every decade
 PLAIN_DECADES = (-4, 5)  # powers of ten between which ticks are plain numbers
 
+_VARIABLE, _STYLE = re.compile(r"var\(--g([0-9a-f]{2})\)"), re.compile(r"<style>:root.*?</style>", re.DOTALL)
 _NEUTRAL = re.compile(r"#([0-9a-f]{2})\1\1\b")
 
 
@@ -69,6 +70,12 @@ def themed(svg: str) -> str:
     style = f"<style>:root{{{light}fill:var(--g00)}}@media(prefers-color-scheme:dark){{:root{{{dark}}}}}</style>"
     head, start, body = svg.partition("<defs>")
     return head + style + start + _NEUTRAL.sub(r"var(--g\1)", body) if start else svg
+
+
+def printed(svg: str) -> str:
+    """A :func:`themed` SVG file in the colours of the light theme alone, for programs that know no CSS variables."""
+    plain = _VARIABLE.sub(lambda found: _grey(int(found.group(1), 16), INK[0], PAPER[0]), _STYLE.sub("", svg, count=1))
+    return plain.replace("<svg ", f'<svg fill="{_grey(0, INK[0], PAPER[0])}" ', 1)
 
 
 def _grey(level: int, ink: int, paper: int) -> str:

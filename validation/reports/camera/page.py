@@ -25,6 +25,7 @@ from dasim.spectra.illuminants import ENERGY_SAVING
 from dasim.typing import Progress
 from validation.reports.camera import figures, optics
 from validation.reports.page import TEMPLATE_DIR, png_address
+from validation.reports.plots import printed
 from validation.subjects.texture import white_electrons
 
 LIGHT = "D65"  # of kernels and transfer
@@ -141,7 +142,10 @@ def write(out: Path, report: Drawn) -> None:
     with new_folder(out, "camera page") as folder:
         (folder / "report.html").write_text(page(report), encoding="utf-8")
         for name, address in report.pictures.items():
-            (folder / name).write_bytes(base64.b64decode(address.partition(",")[2]))
+            content = base64.b64decode(address.partition(",")[2])
+            if name.endswith(".svg"):
+                content = printed(content.decode()).encode()
+            (folder / name).write_bytes(content)
         with (folder / "levels.csv").open("w", newline="", encoding="utf-8") as file:
             table = csv.writer(file)
             table.writerow(optics.Level._fields)

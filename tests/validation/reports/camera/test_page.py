@@ -113,6 +113,9 @@ def test_files_are_read_by_others(written):
     assert rows[-1]["next_level_cm"] == ""
     assert json.loads((written / "results.json").read_text())["light_loss_eq_1"] == pytest.approx(0.1971)
     assert "hole" in (written / "apertures.svg").read_text(encoding="utf-8")
+    for file in written.glob("*.svg"):  # many programs know neither variables nor themes
+        text = file.read_text(encoding="utf-8")
+        assert "var(--" not in text and "prefers-color-scheme" not in text and "<svg " in text
 
 
 def test_stops_of_all_shapes_are_drawn():
