@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from dasim.typing import Float32Array, FloatArray
 
 AGREEMENT = 0.15  # largest relative difference of irradiance between neighbours
+# Likewise for nodes whose irradiance stands for that of a whole side of a crease or of a depth discontinuity, where
+# nothing is interpolated: with 0.15, the irradiance in a gap of 4 pixels between two surfaces was 12 % too small.
+EVEN = 0.05
 SAME_NORMAL = 0.9  # cosine
 SAME_DEPTH = 0.02  # largest relative difference of 1/z per node of distance
 # By the distance of averaged nodes: least cosine between normals, and largest relative difference between the mean of
@@ -157,7 +160,7 @@ def even_nodes(ratio: Float32Array, nodes: Nodes, spectra: FloatArray) -> NDArra
     count = np.zeros(len(agrees), int)
     for here, there in nodes.neighbours():
         same = nodes.same_surface(here, there, SAME_NORMAL)
-        differ = np.abs(light[there] - light[here]) > AGREEMENT * (light[there] + light[here]) / 2
+        differ = np.abs(light[there] - light[here]) > EVEN * (light[there] + light[here]) / 2
         agrees[here] &= ~(same & differ.any(axis=-1))
         count[here] += same
     return agrees & (count > 1)

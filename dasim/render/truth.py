@@ -14,6 +14,10 @@ from dasim.camera.specification import Camera
 from dasim.render.plugin import aligned
 from dasim.typing import Float32Array, FloatArray
 
+# Of the rays that look for the largest blur: their number per pixel, the width of the surroundings of the frame that
+# they see, about half of the largest blur with wave optics, and how many are traced at a time.
+RAYS, AROUND_PX, BATCH = 4, 76, 2**21
+
 
 class Geometry(NamedTuple):
     """First intersection of the pinhole ray through the centre of each pixel."""
@@ -71,6 +75,41 @@ def geometry(mitsuba_scene: Any, camera: Camera) -> Geometry:
     integrator = mi.load_dict({"type": "aov", "aovs": "pos:position,nn:geo_normal,id:shape_index,t:depth"})
     values = np.array(mi.render(mitsuba_scene, sensor=sensor, integrator=integrator, spp=1), dtype=np.float64)
     return _geometry(mitsuba_scene, values[..., 0:3], values[..., 3:6], values[..., 6], values[..., 7] > 0)
+
+
+def largest_blur_px(mitsuba_scene: Any, camera: Camera) -> float:
+    """Largest diameter of visible blur whose disc reaches the frame, from ``RAYS`` rays per pixel at random places.
+
+    They find objects between the pixel centres, and those within ``AROUND_PX`` of the frame, which blur into it. For
+    the JIT variants; distortion is left out.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    body, (x_axis, y_axis) = camera.sensor, principal_point(camera.sensor)
+    width, height = body.width_px + 2 * AROUND_PX, body.height_px + 2 * AROUND_PX
+    at_infinity, at_metre = (float(camera_geometry.blur_px(camera, depth_m)) for depth_m in (np.inf, 1.0))
+    slope_px, half = body.pixel_pitch_um * 1e-6 / camera_geometry.image_distance_m(camera), AROUND_PX
+    x_shift, y_shift = (dr.opaque(mi.Float, half + value) for value in (x_axis, y_axis))
+    known = [dr.opaque(mi.Float, v) for v in (slope_px, at_infinity, at_metre - at_infinity)]
+    right, bottom = (dr.opaque(mi.Float, half + value) for value in (body.width_px, body.height_px))
+    columns, largest, count = dr.opaque(mi.UInt32, width), 0.0, RAYS * width * height
+    for first in range(0, count, BATCH):
+        lane = dr.arange(mi.UInt32, min(BATCH, count - first)) + dr.opaque(mi.UInt32, first)
+        pixel = lane // RAYS
+        x, y = (
+            mi.Float(whole) + mi.sample_tea_float32(lane, number)
+            for number, whole in enumerate((pixel % columns, pixel // columns))
+        )
+        direction = mi.Vector3f((x - x_shift) * known[0], (y - y_shift) * known[0], 1.0)
+        hit = mitsuba_scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(0.0), direction), coherent=True)
+        blur = dr.abs(known[1] + dr.select(hit.is_valid(), known[2] / hit.t, 0.0))  # t is z: z of the direction is 1
+        beside = mi.Vector2f(
+            dr.maximum(dr.maximum(half - x, x - right), 0.0), dr.maximum(dr.maximum(half - y, y - bottom), 0.0)
+        )
+        reaches = dr.norm(beside) <= blur / 2 + 1
+        largest = max(largest, float(dr.max(dr.select(reaches, blur, 0.0))[0]))
+    return largest
 
 
 def _bent_geometry(mitsuba_scene: Any, camera: Camera) -> Geometry:

@@ -52,14 +52,19 @@ class View:
     world: World
     geometry: Geometry
     blur_px: FloatArray  # [h, w] signed diameter of visible blur
+    largest_px: float  # diameter of visible blur between the pixel centres, and of what blurs into the frame
     illuminant: str  # of the main light
     spectrum: FloatArray  # of all lights together
     light_level: float  # of the scene over that of ``world``
 
     @property
     def reach_px(self) -> float:
-        """Largest diameter of visible blur that tables and margins must cover."""
-        return float(np.abs(self.blur_px).max()) * BLUR_MARGIN
+        """Largest diameter of visible blur that tables and margins must cover.
+
+        It is that at the pixel centres with a margin, unless objects between them or beside the frame have more.
+        """
+        seen_px = float(np.abs(self.blur_px).max())
+        return max(seen_px, self.largest_px if self.largest_px > seen_px * BLUR_MARGIN else 0.0) * BLUR_MARGIN
 
     def objects_at(self, pixels: NDArray[np.bool_]) -> list[str]:
         """Names of the objects that are visible at the centres of some of the ``pixels``, [h, w]."""

@@ -154,6 +154,7 @@ def prepare(
     geometry = truth.geometry(world.scene, camera)
     checks.check_in_view(scene, geometry.depth_m)
     blur_px = depth_blur.signed_blur_px(geometry.depth_m, camera)
+    largest_px = truth.largest_blur_px(world.scene, camera) if diffraction == "wave" else 0.0
     progress("geometry", 1.0)
     return View(
         scene,
@@ -163,6 +164,7 @@ def prepare(
         world,
         geometry,
         blur_px,
+        largest_px,
         illuminant=scenes.main_illuminant(scene),
         spectrum=light_spectra.total(lit, world.scene),
         light_level=scenes.light_level(scene) / scenes.light_level(lit),
