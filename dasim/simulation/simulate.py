@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from dasim.base.errors import InputError
 from dasim.camera import depth_blur, pointspread
 from dasim.camera import geometry as camera_geometry
 from dasim.camera import noise as sensor_noise
@@ -112,6 +113,8 @@ def sensor_light(
     """
     camera = as_camera(camera)
     scene = as_scene(scene, camera)
+    if spp is None:  # which stands for a default in the command line
+        raise InputError("spp is None; a whole number or 'auto' is needed")
     checks.check_options(spp, seed, diffraction, noise_share, noise_at)
     checks.check_exposure(exposure)
     sampling = Sampling(spp, noise_share, noise_at, seed)

@@ -278,6 +278,8 @@ def test_automatic_exposure_puts_the_brightest_channel_at_85_percent(da_mobile, 
     raw, _ = sensor.expose(sensor.mosaic(rate * time_s, camera), camera.sensor, time_s, 0, gain=gain, noise="off")
     assert abs(raw.max() - (64 + 0.85 * 959)) <= 0.5
     assert sensor.auto_exposure_s(np.zeros_like(rate), camera, sensor.Exposure()) == 1.0
+    with pytest.raises(InputError, match="at least 1e-09 s is allowed"):
+        sensor.auto_exposure_s(1e12 * (rate + 1), camera, sensor.Exposure())
 
 
 def test_automatic_exposure_never_overfills_the_well(da_mobile):

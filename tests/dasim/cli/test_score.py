@@ -8,9 +8,10 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+import dasim
 from dasim.cli import run
 from dasim.files.banks import load_bank
-from dasim.files.captures import load_capture, load_truth
+from dasim.files.captures import load_capture, load_truth, save_capture
 from dasim.files.truth import write_truth
 from recon.files.reconstruction import load_reconstruction
 
@@ -40,6 +41,7 @@ def test_render_recon_score_round_trip(shop, capsys):
         (("score", "shot", "result"), ("shot", "dasim recon")),
         (("score", "result", "nowhere"), ("nowhere",)),
         (("score", "result", "shot", "--json", "no/folder.json"), ("no/folder.json",)),
+        (("score", "result", "shot", "--json", "same", "--junit", "same"), ("--json and --junit", "two files")),
     ],
     ids=lambda value: " ".join(value) if value and isinstance(value[0], str) else None,
 )
@@ -57,3 +59,11 @@ def test_reconstruction_and_truth_of_other_sizes_are_refused(refused, here):
     meta = json.loads((here / "shot" / "meta.json").read_text())
     (here / "shot" / "meta.json").write_text(json.dumps(meta | {"file_bytes": {}}))
     refused("score", "result", "shot", message_part=("64 x 48", "32 x 32"))
+
+
+def test_a_reconstruction_of_another_sensor_is_refused(shop, tmp_path, capsys):
+    """Expectation: folders that were mixed up give no figures."""
+    other = dasim.cropped("da-4x4", 64, 48)
+    save_capture(tmp_path / "other", replace(load_capture(shop / "shot"), camera=other), load_truth(shop / "shot"))
+    assert run(["score", str(shop / "result"), str(tmp_path / "other")]) == 2
+    assert "its mosaic is" in capsys.readouterr().err

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+import dasim
 from dasim.base.errors import InputError
 from dasim.scene import loading, shapes
 from dasim.scene import specification as scenes
@@ -114,6 +115,27 @@ def test_problems_are_named_in_one_line(tmp_path, old, new, message_part):
     message = refusal(tmp_path, GOOD.replace(old, new, 1))
     for part in message_part:
         assert part in message, message
+
+
+@pytest.mark.parametrize(
+    ("light", "refused"),
+    [
+        ('kind = "lamp"\nposition_cm = [0, 0, 0]\ntarget_cm = [0, 0, 40]\nradius_cm = 8', True),
+        ('kind = "lamp"\nposition_cm = [3, 0, 0.05]\ntarget_cm = [3, 0, 40]\nradius_cm = 8', True),
+        ('kind = "bulb"\nposition_cm = [0, 3, 0]\ntarget_cm = [0, 0, 40]\nradius_cm = 3', True),
+        ('kind = "panel"\nposition_cm = [0, 0, 0]\ntarget_cm = [0, 0, 40]\nsize_cm = [2, 2]', True),
+        ('kind = "lamp"\nposition_cm = [3, 0, 0]\ntarget_cm = [3, 0, 40]\nradius_cm = 2', False),  # beside it
+        ('kind = "bulb"\nposition_cm = [0, 5, 0]\ntarget_cm = [0, 0, 40]\nradius_cm = 3', False),
+    ],
+)
+def test_lights_that_touch_the_lens_are_refused(tmp_path, light, refused):
+    """Rationale: the blur of such a lamp has no bound, and neither has the memory of its kernels."""
+    text = GOOD.replace('kind = "dome"', light)
+    if refused:
+        assert "lies on the lens or encloses it" in refusal(tmp_path, text)
+    else:
+        (tmp_path / "beside.toml").write_text(text)
+        assert dasim.load_scene(tmp_path / "beside.toml").lights
 
 
 def test_lamp_on_its_target_and_an_empty_scene_are_refused(tmp_path):

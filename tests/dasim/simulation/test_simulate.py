@@ -236,6 +236,7 @@ def test_default_model_of_diffraction_spreads_light_and_keeps_it(make_scene, da_
         ({"spp": 0}, "spp is 0"),
         ({"spp": 2.5}, r"spp is 2\.5; a whole number"),
         ({"spp": True}, "spp is True"),
+        ({"spp": None}, "spp is None"),
         ({"spp": float("nan")}, "spp is nan"),
         ({"seed": -1}, "seed is -1"),
         ({"seed": 1.5}, r"seed is 1\.5; 0 or"),

@@ -38,6 +38,16 @@ def gains(scene, result):
     return 10 * np.log10(errors[0] / errors[1])
 
 
+def stating(level, sd):
+    """A method that states one level and its standard deviation for every pixel."""
+
+    def method(capture, bank):
+        level_of_all, sd_of_all = (np.full(capture.raw_dn.shape, value, np.float32) for value in (level, sd))
+        return DepthEstimate(level=level_of_all, sd=sd_of_all, joined=True)
+
+    return method
+
+
 def code(electrons):
     """Digital numbers of 8 bits."""
     return 255 * np.clip(electrons / WHITE_E, 0, 1) ** (1 / 2.2)
@@ -83,10 +93,7 @@ def test_a_wrong_level_costs_less_where_the_model_has_an_error(monkeypatch):
     raw, _ = sensor.expose(collected_e, camera.sensor, 0.02, seed=1)
     there = dataclasses.replace(usual, capture=Capture(raw, camera, 0.02, 1.0, 1), sharp_e=factor**2 * usual.sharp_e)
 
-    def wrong(capture, bank):
-        shape = capture.raw_dn.shape
-        return DepthEstimate(level=np.full(shape, 7.0, np.float32), sd=np.full(shape, 0.5, np.float32), joined=True)
-
+    wrong = stating(7.0, 0.5)
     ours = gains(there, recon.reconstruct(there.capture, recon_scenes.bank(), method=wrong))
     monkeypatch.setattr(all_in_focus, "MODEL_ERROR", 0.0)
     theirs = gains(there, recon.reconstruct(there.capture, recon_scenes.bank(), method=wrong))
@@ -104,13 +111,8 @@ def test_the_spacing_of_levels_does_not_matter(level):
         bank, depth_m=bank.depth_m[kept], blur_px=bank.blur_px[kept], kernel=np.ascontiguousarray(bank.kernel[:, kept])
     )
 
-    def exactly(capture, bank):
-        number = float(np.interp(level * 1.85185, bank.blur_px, np.arange(len(bank.blur_px))))
-        shape = capture.raw_dn.shape
-        sd = 0.3 * number / level
-        return DepthEstimate(level=np.full(shape, number, np.float32), sd=np.full(shape, sd, np.float32), joined=True)
-
-    fine, other = (recon.reconstruct(shot.capture, each, method=exactly).sharp_e for each in (bank, coarse))
+    fine = recon.reconstruct(shot.capture, bank, method=stating(level, 0.3)).sharp_e
+    other = recon.reconstruct(shot.capture, coarse, method=stating(level / 2, 0.15)).sharp_e
     assert np.abs(code(fine) - code(other)).mean() < 0.05, "in 8 bits"
 
 
@@ -118,12 +120,7 @@ def test_a_surface_in_focus_that_is_taken_to_be_blurred_is_damaged_less(monkeypa
     """Set-up: a photograph in focus, estimated at level 2 with confidence. Expectation: part of the captured picture
     stays, so that the error is smaller than without it.
     """
-    shot = scene(0.0)
-
-    def wrong(capture, bank):
-        shape = capture.raw_dn.shape
-        return DepthEstimate(level=np.full(shape, 2.0, np.float32), sd=np.full(shape, 0.2, np.float32), joined=True)
-
+    shot, wrong = scene(0.0), stating(2.0, 0.2)
     ours = gains(shot, recon.reconstruct(shot.capture, recon_scenes.bank(), method=wrong))
     monkeypatch.setattr(all_in_focus, "CAUTION", 0.0)
     theirs = gains(shot, recon.reconstruct(shot.capture, recon_scenes.bank(), method=wrong))
@@ -140,10 +137,8 @@ def test_noise_off_the_axis_is_not_taken_for_detail():
     mean_e = 1200 / white[0].max() * at_pixels(white, place)
     raw, _ = sensor.expose(electronic_crosstalk(sensor.mosaic(mean_e, camera), camera), camera.sensor, 0.02, seed=1)
 
-    def in_focus(capture, bank):
-        return DepthEstimate(level=np.zeros(raw.shape, np.float32), sd=np.full(raw.shape, 0.05), joined=True)
-
-    found = recon.reconstruct(Capture(raw, camera, 0.02, 1.0, 1), recon_scenes.bank(), method=in_focus)
+    shot = Capture(raw, camera, 0.02, 1.0, 1)
+    found = recon.reconstruct(shot, recon_scenes.bank(), method=stating(0.0, 0.05))
     inner = (slice(RIM_PX, -RIM_PX),) * 2
     captured, ours = (image[inner].std(axis=(0, 1)) for image in (found.linear_e, found.sharp_e))
     assert (ours < 1.05 * captured).all(), (ours, captured)
