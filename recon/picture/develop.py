@@ -58,8 +58,8 @@ def develop(
     Args:
         capture: the raw picture.
         settings: of noise reduction and infrared removal.
-        lights: names of the candidates of the white balance, one or more (:func:`dasim.illuminant` lists them), by the
-            camera's response curves; InputError for an unknown name.
+        lights: names of the candidates of the white balance, one or more (:func:`dasim.illuminant_names` lists them),
+            by the camera's response curves; InputError for an unknown name.
         flat: a capture of a uniform surface, for the correction of the lens shading.
         progress: called with the name of each stage and the share of stages before it, 0..1.
     """
