@@ -24,7 +24,8 @@ GATES = Path(__file__).parent / "gates.toml"
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _ONE_SIDED = re.compile(rf"(<=|>=|<|>)\s*({_NUMBER})")
 _RANGE = re.compile(rf"({_NUMBER})\s*\.\.\s*({_NUMBER})")
-_PART = re.compile(r"\*|\{[^*?\[\]{}.,]+(?:,[^*?\[\]{}.,]+)*\}|[^*?\[\]{}]+")
+_DOT = re.compile(r"(?<!\d)\.|\.(?!\d)")  # between names; one between digits is a decimal point
+_PART = re.compile(r"\*|\{[^*?\[\]{},]+(?:,[^*?\[\]{},]+)*\}|[^*?\[\]{}]+")
 _COMPARE = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
 
 
@@ -60,8 +61,9 @@ class Gate:
     """A limit and the figures that it applies to.
 
     ``key`` has the form of a figure's id, CLAIM.FIGURE or CLAIM.METHOD.FIGURE. Each part between dots is a name,
-    several names as ``{D65,A}``, or ``*`` for exactly one whole name. A ``*`` never matches across a dot or part of a
-    name, so no limit applies by accident to a figure that is added later, or to a figure of a user's method.
+    several names as ``{D65,A}``, or ``*`` for exactly one whole name. A dot between two digits is a decimal point and
+    belongs to the name, as in ``0.2-0.4-m``. A ``*`` never matches several names or part of a name, so no limit applies
+    by accident to a figure that is added later, or to a figure of a user's method.
     """
 
     key: str
@@ -81,12 +83,12 @@ class Gate:
     @property
     def keys(self) -> list[str]:
         """The key with each combination of its names in braces."""
-        parts = [part[1:-1].split(",") if part.startswith("{") else [part] for part in self.key.split(".")]
+        parts = [part[1:-1].split(",") if part.startswith("{") else [part] for part in _DOT.split(self.key)]
         return [".".join(names) for names in itertools.product(*parts)]
 
     def matches(self, figure_id: str) -> bool:
         """Whether the gate matches the figure of this id."""
-        parts, names = self.key.split("."), figure_id.split(".")
+        parts, names = _DOT.split(self.key), _DOT.split(figure_id)
         return len(parts) == len(names) and all(map(_part_matches, parts, names))
 
 
@@ -123,7 +125,7 @@ def load_gates(path: Path, claims: Iterable[str]) -> list[Gate]:
                 f"{path}: '{gate.key}' is no figure of a claim; its form is CLAIM.FIGURE or CLAIM.METHOD.FIGURE, "
                 f"with CLAIM one of {', '.join(known)}{did_you_mean(gate.claim, known)}"
             )
-        for part in gate.key.split("."):
+        for part in _DOT.split(gate.key):
             if not _PART.fullmatch(part):
                 raise InputError(
                     f"{path}: '{part}' of '{gate.key}' is no name, {{NAME,NAME}}, or * for one name between dots"

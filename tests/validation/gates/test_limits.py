@@ -57,6 +57,14 @@ def test_a_gate_for_several_figures_needs_each_of_them():
     ]  # fmt: skip
 
 
+def test_a_name_may_contain_a_decimal_point():
+    gates = [Gate("c.best.depth.*.abs-rel", "<= 1", ""), Gate("c.{0.5,1.5}.bias", "<= 1", "")]
+    assert gate_of("c.best.depth.0.2-0.4-m.abs-rel", gates) is gates[0]
+    assert gate_of("c.0.5.bias", gates) is gates[1]
+    assert gates[1].keys == ["c.0.5.bias", "c.1.5.bias"]
+    assert gate_of("c.best.depth.near.0.2-0.4-m.abs-rel", gates) is None
+
+
 @pytest.mark.parametrize("method", ["mine", "depth_method.py:ratio", "D65", "desk"])
 def test_no_bundled_limit_is_for_a_users_method(gates, figures, method):
     """Its figures are CLAIM.METHOD.FIGURE: the bundled method's name exchanged, or put in where figures name none."""
