@@ -22,7 +22,7 @@ def plot(rows: list[dict[str, Any]], file: Path, title: str) -> None:
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
-    from matplotlib.ticker import NullFormatter
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     figure = Figure(figsize=(9, 6), layout="constrained", dpi=120)
     FigureCanvasAgg(figure)
@@ -42,7 +42,10 @@ def plot(rows: list[dict[str, Any]], file: Path, title: str) -> None:
     exposure = np.array([row["exposure_s"] for row in rows]) * 1e3
     axes[2].hist(exposure, bins=np.geomspace(exposure.min() * 0.99, exposure.max() * 1.01, 25), color=colour)
     axes[2].set(xlabel="exposure in ms", ylabel="samples", xscale="log")
-    axes[2].xaxis.set_minor_formatter(NullFormatter())
+    for axis in (axes[0].xaxis, axes[2].xaxis):
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
     lights = Counter(str(row["illuminant"]) for row in rows).most_common(15)[::-1]
     axes[3].barh([name for name, _ in lights], [count for _, count in lights], color=colour)
     axes[3].set(xlabel="samples by illuminant")
