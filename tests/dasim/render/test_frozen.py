@@ -11,7 +11,7 @@ import pytest
 import dasim
 from dasim.render import backend, irradiance_tracing, pinhole, ray_batches, ray_loop
 
-LANES = 1 << 12  # of a batch: passes have many, the last of them smaller
+LANES = 1 << 13  # of a batch: passes have many, the last of them smaller
 
 
 @pytest.fixture
