@@ -12,6 +12,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from dasim.base.errors import InputError
 from dasim.camera import noise
 from dasim.camera.specification import Camera, mosaic_channels
 
@@ -51,7 +52,13 @@ def nearest(mask: Tensor, values: Tensor) -> Tensor:
 
 
 def planes(mean_e: Tensor, camera: Camera) -> Tensor:
-    """The pixels of a 2x2 mosaic, [..., 4, h/2, w/2] in the order of its block, from [..., channel, h, w]."""
+    """The pixels of a 2x2 mosaic, [..., 4, h/2, w/2] in the order of its block, from [..., channel, h, w].
+
+    Raises InputError for a mosaic of another period.
+    """
+    pattern = camera.sensor.mosaic
+    if (len(pattern), len(pattern[0])) != (2, 2):
+        raise InputError(f"planes: the mosaic of '{camera.name}' is {len(pattern[0])}x{len(pattern)}; it must be 2x2")
     block = mosaic_channels(camera)[:2, :2]
     places = [(y, x) for y in (0, 1) for x in (0, 1)]
     return torch.stack([mean_e[..., int(block[y, x]), y::2, x::2] for y, x in places], dim=-3)

@@ -63,13 +63,31 @@ def of_capture(capture: Capture, blur_px: NDArray, hole: float) -> Source:
 
 
 def mirrored(capture: Capture, blur_px: NDArray, hole: float, down: bool, across: bool) -> Shown:
-    """An example whose picture is mirrored: a raw mosaic keeps its pattern when a pixel is cut off at either end."""
-    raw, size = capture.raw_dn, capture.raw_dn.shape
-    turned = np.pad(raw[:: -1 if down else 1, :: -1 if across else 1], 2, mode="reflect")
-    top, left = (2 + (1 if mirror else 0) for mirror in (down, across))
-    turned = turned[top : top + size[0], left : left + size[1]]
-    seen = images(Capture(turned, capture.camera, capture.exposure_s, capture.gain, capture.seed), hole)
-    return Shown(seen, np.asarray(blur_px[:: -1 if down else 1, :: -1 if across else 1], np.float32))
+    """An example whose picture is mirrored, and shifted by the pixel or two that keep the mosaic's pattern.
+
+    A picture whose pattern is not that of its mirror image at any shift stays as it is along that axis.
+    """
+    pattern = np.array([list(row) for row in capture.camera.sensor.mosaic])
+    raw, blur = capture.raw_dn, np.asarray(blur_px, np.float32)
+    for axis, wanted in enumerate((down, across)):
+        order = _mirrored_order(np.moveaxis(pattern, axis, 0), raw.shape[axis]) if wanted else None
+        if order is not None:
+            raw, blur = raw.take(order, axis), np.flip(blur, axis)
+    seen = images(Capture(raw, capture.camera, capture.exposure_s, capture.gain, capture.seed), hole)
+    return Shown(seen, np.ascontiguousarray(blur))
+
+
+def _mirrored_order(pattern: NDArray[np.str_], count: int) -> NDArray[np.intp] | None:
+    """Which of ``count`` rows each row of the mirror image shows, so that the pattern of rows stays; None if none can.
+
+    Rows beyond the border are those of the same phase next to it.
+    """
+    period, rows = len(pattern), np.arange(count)
+    for shift in sorted(range(1 - period, period), key=lambda shift: (abs(shift), -shift)):
+        order = count - 1 - (rows + shift)
+        if (pattern[order % period] == pattern[rows % period]).all():
+            return np.where(order < 0, order + period, np.where(order >= count, order - period, order))
+    return None
 
 
 def fit(

@@ -113,3 +113,9 @@ def test_noise_has_the_variance_of_the_data_sheet(camera):
     expected = float(noise.variance(camera.sensor, 0.03).at(900.0))
     assert float(found.var()) == pytest.approx(expected, rel=0.03)
     assert float(found.mean()) == pytest.approx(900, abs=4 * np.sqrt(expected / 40_000))
+
+
+def test_planes_need_a_mosaic_of_two_by_two():
+    camera = cameras.cropped("da-4x4", 16, 16)
+    with pytest.raises(InputError, match="'da-4x4' is 4x4; it must be 2x2"):
+        pictures.planes(torch.zeros(4, 16, 16), camera)

@@ -26,9 +26,9 @@ from validation.training import learned as training  # noqa: E402
 HEIGHT, WIDTH = 32, 48
 
 
-def capture(mean):
+def capture(mean, camera=None):
     """A capture without noise of mean electrons [h, w, channel]."""
-    camera = recon_scenes.da_mobile(mean.shape[1], mean.shape[0])
+    camera = camera or recon_scenes.da_mobile(mean.shape[1], mean.shape[0])
     raw, _ = noise.expose(noise.mosaic(mean, camera), camera.sensor, 0.03, 0, noise="off")
     return Capture(raw, camera, 0.03, 1.0, 0)
 
@@ -40,6 +40,22 @@ def test_a_sample_without_infrared_is_refused(monkeypatch):
     sample = SimpleNamespace(index=3, meta={}, raw_dn=taken.raw_dn, truth={"depth_m": np.full((HEIGHT, WIDTH), 0.3)})
     with pytest.raises(InputError, match="000000003: camera 'bayer-mobile' has no IR pixels"):
         training.of_sample(sample)
+
+
+@pytest.mark.parametrize("down", [False, True])
+@pytest.mark.parametrize("across", [False, True])
+@pytest.mark.parametrize("name", ["da-mobile", "da-4x4"])
+def test_mirrored_colours_stay_apart_in_every_pixel(name, down, across):
+    """Expectation: of an even picture whose channels differ, the mirror image is the same in every pixel."""
+    mean = np.full((HEIGHT, WIDTH, 4), 400.0) * np.array([1.0, 2.0, 0.7, 0.4])
+    taken, blur = capture(mean, cameras.cropped(name, WIDTH, HEIGHT)), np.zeros((HEIGHT // 2, WIDTH // 2))
+    plain, found = (fit_depth.mirrored(taken, blur, 0.5, *turned) for turned in ((False, False), (down, across)))
+    np.testing.assert_array_equal(found.images, plain.images)
+
+
+def test_a_pattern_that_is_not_its_mirror_image_is_not_mirrored():
+    """Set-up: rows of four kinds, of which no shift of the mirror image is the pattern."""
+    assert fit_depth._mirrored_order(np.array([["R"], ["G"], ["B"], ["IR"]]), HEIGHT) is None
 
 
 @pytest.mark.parametrize(("down", "across"), [(0, 0), (0, 1), (1, 0), (1, 1)])
