@@ -12,7 +12,8 @@ the evidence, and block i updates the hidden image h:
     h <- h + B_i relu(A_i * relu(h) + a_i) + b_i
 
 with a 3 x 3 convolution A_i of dilation ``DILATIONS[i]``. On the way back to the samples, the picture's features are
-added again. The log probabilities of a sample's levels are those of the nodes, interpolated, plus a linear map of the
+added again. Blocks of the same form see pairs of samples before the nodes (``MIDDLE_DILATIONS``) and after them
+(``BACK_DILATIONS``), so that outlines of the picture become those of surfaces. The log probabilities of a sample's levels are those of the nodes, interpolated, plus a linear map of the
 sample's own features.
 
 Networks trained from different initial weights make different errors where the evidence is weak, so the log
@@ -36,14 +37,15 @@ from recon.depth.evidence import NODE, SCORES
 from recon.depth.tiles import tiles
 
 FILES = "surface_net_0.npz", "surface_net_1.npz"  # by the seed of the training
-DILATIONS = (1, 2, 4, 8, 16, 1, 2, 4, 8, 1)
+DILATIONS = (1, 2, 4, 8, 16, 1, 2, 4, 8, 1)  # of the blocks at nodes
+MIDDLE_DILATIONS, BACK_DILATIONS = (1, 2), (2, 4)  # of those at pairs of samples, before and after the nodes
 # Factor on the standard deviation of the posterior on smooth surfaces alone, which underestimates the correlation of
 # neighbouring windows; chosen on ``tune``.
 SMOOTH_SD = 2.5
 SURE_SD = 0.4  # on smooth surfaces, levels, at which both posteriors have equal weight; 0.3 to 0.6 tie on ``tune``
 MIXED_SD = 0.6  # factor on the standard deviation on smooth surfaces in the mixture; chosen on ``tune``
 TILE = 512  # nodes per side: frames of up to 4096 pixels per side are one tile
-HALO = 50  # nodes around a tile: the sum of ``DILATIONS``, and what the layers of the picture and of the samples see
+HALO = 55  # nodes around a tile: the sum of ``DILATIONS``, half that of the others, and what single layers see
 
 
 class Moments(NamedTuple):
@@ -98,13 +100,19 @@ def log_probabilities(net: Net, inputs: Float32Array, picture: Float32Array, lev
     fine = convolved((picture - net["picture_mean"]) / net["picture_sd"], net, "fine")
     fine = convolved(relu(fine), net, "fine_in")
     middle = linear(gathered(relu(fine)), net, "middle")
-    middle = relu(convolved(relu(middle), net, "middle_in"))
+    middle = convolved(relu(middle), net, "middle_in")
+    for index, dilation in enumerate(MIDDLE_DILATIONS):
+        middle = residual(middle, net, f"middle_a{index}", f"middle_b{index}", dilation)
+    middle = relu(middle)
     hidden = linear((inputs - net["mean"]) / net["sd"], net, "in") + linear(gathered(middle), net, "picture_in")
     for index, dilation in enumerate(DILATIONS):
         hidden = residual(hidden, net, f"a{index}", f"b{index}", dilation)
     hidden = relu(hidden)
     nodes = linear(hidden, net, "level") + inputs[..., : SCORES * levels] @ net["skip"]
     middle += spread(linear(hidden, net, "middle_back"))
+    middle = relu(middle)
+    for index, dilation in enumerate(BACK_DILATIONS):
+        middle = residual(middle, net, f"back_a{index}", f"back_b{index}", dilation)
     middle = refined(relu(middle), net, "middle_out")
     fine += spread(linear(middle, net, "fine_back"))
     fine = refined(relu(fine), net, "fine_out")

@@ -7,6 +7,7 @@ pictures are those of an upright camera.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +19,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from recon.depth.evidence import FITS, LAST, NODE, ROW, SCORES, SIGNALS, level_grid, row_of_nodes
-from recon.depth.surface_net import DILATIONS
+from recon.depth.surface_net import BACK_DILATIONS, DILATIONS, MIDDLE_DILATIONS
 from validation.training.network import (
     Training,
     average,
@@ -77,6 +78,10 @@ class Net(nn.Module):
         for index, dilation in enumerate(DILATIONS):
             layers |= {f"a{index}": convolution(WIDE, WIDE, dilation), f"b{index}": nn.Conv2d(WIDE, WIDE, 1)}
         layers |= {"middle_back": nn.Conv2d(WIDE, 4 * MIDDLE, 1), "fine_back": nn.Conv2d(MIDDLE, 4 * FINE, 1)}
+        for name, dilations in (("middle", MIDDLE_DILATIONS), ("back", BACK_DILATIONS)):
+            for index, dilation in enumerate(dilations):
+                layers |= {f"{name}_a{index}": convolution(MIDDLE, MIDDLE, dilation)}
+                layers |= {f"{name}_b{index}": nn.Conv2d(MIDDLE, MIDDLE, 1)}
         for name, channels in (("middle_out", MIDDLE), ("fine_out", FINE)):
             layers |= {f"{name}_a": convolution(channels, channels), f"{name}_b": nn.Conv2d(channels, channels, 1)}
         layers |= {"level": nn.Conv2d(WIDE, levels, 1), "sample": nn.Conv2d(FINE, levels, 1)}
@@ -85,7 +90,7 @@ class Net(nn.Module):
         with torch.no_grad():  # begin near the posterior of smooth surfaces
             self.skip.weight.zero_()[:, -levels:, 0, 0] = torch.eye(levels) / 2
             for name, layer in layers.items():
-                if name in ("level", "sample") or name.endswith("_b") or name[0] == "b":
+                if name in ("level", "sample") or name.endswith("_b") or re.search(r"b\d+$", name):
                     layer.weight.mul_(0.1)
 
     @classmethod
@@ -103,16 +108,26 @@ class Net(nn.Module):
         fine = relu(layer["fine"]((picture - self.picture_mean) / self.picture_sd))
         fine = relu(layer["fine_in"](fine))
         middle = relu(layer["middle"](functional.pixel_unshuffle(fine, 2)))
-        middle = relu(layer["middle_in"](middle))
+        middle = layer["middle_in"](middle)
+        for index in range(len(MIDDLE_DILATIONS)):
+            middle = self._block(middle, f"middle_a{index}", f"middle_b{index}")
+        middle = relu(middle)
         hidden = layer["in"]((inputs - self.mean) / self.sd)
         hidden = hidden + layer["picture_in"](functional.pixel_unshuffle(middle, 2))
         for index in range(len(DILATIONS)):
-            hidden = hidden + layer[f"b{index}"](relu(layer[f"a{index}"](relu(hidden))))
+            hidden = self._block(hidden, f"a{index}", f"b{index}")
         hidden = relu(hidden)
         nodes = layer["level"](hidden) + self.skip(inputs[:, : self.skip.in_channels])
-        middle = self._refined(relu(functional.pixel_shuffle(layer["middle_back"](hidden), 2) + middle), "middle_out")
+        middle = relu(functional.pixel_shuffle(layer["middle_back"](hidden), 2) + middle)
+        for index in range(len(BACK_DILATIONS)):
+            middle = self._block(middle, f"back_a{index}", f"back_b{index}")
+        middle = self._refined(relu(middle), "middle_out")
         fine = self._refined(relu(functional.pixel_shuffle(layer["fine_back"](middle), 2) + fine), "fine_out")
         return layer["sample"](fine) + functional.interpolate(nodes, scale_factor=NODE, mode="bilinear")
+
+    def _block(self, image: Tensor, first: str, second: str) -> Tensor:
+        inner = self.layers[first](functional.relu(image))
+        return image + self.layers[second](functional.relu(inner))
 
     def _refined(self, image: Tensor, name: str) -> Tensor:
         inner = functional.relu(self.layers[f"{name}_a"](image))
