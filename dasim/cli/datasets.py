@@ -157,8 +157,8 @@ def score(
 ) -> int:
     """Score depth methods or folders of depth maps on all samples of a split, and write a leaderboard.
 
-    A stopped run resumes; results are kept per sample and method. The exit status is 1 if a figure violates a limit of
-    --gates.
+    A stopped run resumes; results are kept per sample and method. The exit status is 2 if a method failed on every
+    sample, and 1 if a figure violates a limit of --gates.
 
     Args:
         dataset: its folder or fsspec address
@@ -184,7 +184,7 @@ def score(
     from dasim.files.banks import load_bank
     from validation.dataset_scores import leaderboard, page
     from validation.dataset_scores.entrants import entrants
-    from validation.dataset_scores.run import PAGE, score_dataset, write
+    from validation.dataset_scores.run import PAGE, failures, score_dataset, write
     from validation.dataset_scores.work import ScoreJob, code_of, work
     from validation.gates.scored import check_score_files, judged_score, write_score
     from validation.reports.lines import of_claims
@@ -200,13 +200,18 @@ def score(
     run = executors.local(processes_of(jobs), work) if executor == "local" else executors.ray(address, work)
     with options.progress() as show:
         rows = score_dataset(job, run, fresh=fresh, show=lambda done, total: show("scoring", done / max(total, 1)))
-    write(job, rows)
-    entries = judged_score("dataset", leaderboard.figures(rows), gates)
-    print("\n".join(page.lines(rows, leaderboard.entries(rows))))
+    board = leaderboard.entries(rows)
+    write(job, rows, board)
+    entries = judged_score("dataset", leaderboard.figures(rows, board), gates)
+    print("\n".join(page.lines(rows, board)))
+    for line in failures(rows):
+        print(line, file=sys.stderr)
     if limited := [entry for entry in entries if entry.limit is not None]:
         print("\n".join(of_claims(limited)))
     print(f"leaderboard: {place}/{PAGE}")
     write_score("dataset", entries, json_file=json_file, junit=junit, more={"samples": rows})
+    if {row["method"] for row in rows} > {row["method"] for row in rows if row["failed"] is None}:
+        return 2  # a method failed on every sample
     return 1 if any(entry.passed is False for entry in entries) else 0
 
 

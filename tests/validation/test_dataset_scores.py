@@ -24,7 +24,7 @@ from tests.support import datasets, recon_scenes, surfaces
 from validation import methods
 from validation.dataset_scores import estimate, figures, leaderboard, page, work
 from validation.dataset_scores.entrants import CONSTANT, Constant, MapFolder, check_maps, entrants
-from validation.dataset_scores.run import about, score_dataset, table_csv, write
+from validation.dataset_scores.run import about, failures, score_dataset, table_csv, write
 from validation.dataset_scores.work import ScoreJob
 from validation.subjects import rendering
 
@@ -189,7 +189,7 @@ def test_methods_are_ranked_by_their_ratio_to_the_constant_map():
     rows = [row_of(CONSTANT, 0, 1.0), row_of(CONSTANT, 1, 10.0), row_of("half", 0, 0.5), row_of("half", 1, 5.0)]
     rows += [row_of("odd", 0, 2.0), row_of("odd", 1, 2.0, failed="stopped")]
     assert leaderboard.ranked(rows) == ["half", CONSTANT, "odd"]
-    values = {figure.id: figure.value for figure in leaderboard.figures(rows)}
+    values = {figure.id: figure.value for figure in leaderboard.figures(rows, leaderboard.entries(rows))}
     assert values["half.rmse-ratio"] == 0.5 and values["odd.rmse-ratio"] == pytest.approx(1.1)
     assert values["half.lost"] == 0 and values["odd.lost"] == 2 and values["odd.failed"] == 1
     assert values["half.kind.b.rmse-dioptre"] == 5.0 and values["half.light.below-100-e.rmse-dioptre"] == 0.5
@@ -198,6 +198,7 @@ def test_methods_are_ranked_by_their_ratio_to_the_constant_map():
     table = list(csv.DictReader(table_csv(found).splitlines()))
     (cell,) = (r for r in table if (r["method"], r["group"], r["part"]) == ("half", "kind", "a"))
     assert cell["samples"] == "1" and float(cell["rmse-dioptre (1/m)"]) == 0.5 and cell["rmse-dioptre (1/m) low"] == ""
+    assert failures(rows) == ["odd failed on 1 of 2 samples; 1: stopped"]
     text = page.lines(rows, found)
     assert [line.split()[0] for line in text] == ["method", "half", CONSTANT, "odd"]
 
@@ -331,7 +332,7 @@ def test_a_method_is_scored_by_its_own_estimate(walls, folder):
         values = row["figures"]["region"]["all"]
         assert values["level-median"] == pytest.approx(abs(true_level() - LEVEL), abs=0.02)
         assert row["coverage"] == 1 and row["failed"] is None
-    write(job, rows)
+    write(job, rows, leaderboard.entries(rows))
     html = (folder / "out" / "leaderboard.html").read_text()
     assert "tiny 1.0: test" in html and "flat" in html and "a subset" not in html
     assert "http://" not in html.replace("http://www.w3.org", "") and 'src="http' not in html
@@ -364,10 +365,14 @@ def test_the_command_scores_a_split(folder, form, capsys):
     save_bank(folder / "bank.npz", recon_scenes.bank(("D65",)))
     (folder / "share.py").write_text("def share(depth_m, truth):\n    return 0.25\n")
     command = ["dataset", "score", "set", "--bank", "bank.npz", "--out", "scores", "--json", "s.json", "--jobs", "2"]
-    command += ["--method", "flat=mine.py:constant", "mine.py:broken", "--metric", "share.py:share"]
+    command += ["--metric", "share.py:share", "--method", "flat=mine.py:constant"]
     assert run(command) == 0
+    command.append("mine.py:broken")
+    assert run(command) == 2
+    assert "mine.py:broken failed on all 2 samples; 000000000: " in capsys.readouterr().err
     (folder / "gates.toml").write_text('["dataset.flat.lost"]\nlimit = "<= 0"\n')
-    assert run([*command, "--gates", "gates.toml", "--junit", "s.xml"]) == 1
+    assert run([*command[:-1], "--gates", "gates.toml", "--junit", "s.xml"]) == 1
+    assert run([*command, "--gates", "gates.toml"]) == 2
     content = json.loads(Path("s.json").read_text())
     assert content["flat.level-median"]["value"] == pytest.approx(abs(true_level() - LEVEL), abs=0.02)
     assert content["flat.lost"] == {"value": 2.0, "unit": "samples", "limit": "<= 0", "passed": False}

@@ -75,8 +75,7 @@ def mean(values: Sequence[float | None], scenes: Sequence[str]) -> Mean:
     known = [(float(value), scene) for value, scene in zip(values, scenes, strict=True) if value is not None]
     if not known:
         return Mean(*[float("nan")] * 4)
-    names = sorted({scene for _, scene in known})
-    place = np.array([names.index(scene) for _, scene in known])
+    names, place = np.unique([scene for _, scene in known], return_inverse=True)
     numbers = np.array([value for value, _ in known])
     middle = float(numbers.mean())
     if len(names) < 2:
@@ -90,27 +89,34 @@ def mean(values: Sequence[float | None], scenes: Sequence[str]) -> Mean:
 
 def entries(rows: Sequence[Row]) -> list[Entry]:
     """Means of every method in every part, the methods in the order of their rank."""
-    found = []
+    found, constants = [], constants_of(rows)
     for method in ranked(rows):
         own = [row for row in rows if row["method"] == method]
         for group in GROUPS:
             for part in _parts(group, rows):
                 cells = [(row, figures) for row in own if (figures := _figures(row, group, part)) is not None]
                 if cells:
-                    found.append(_entry(method, group, part, cells, rows))
+                    found.append(_entry(method, group, part, cells, constants))
     return found
 
 
 def ranked(rows: Sequence[Row]) -> list[str]:
     """Methods by their ratio to the best constant map, the best first; without a ratio last."""
-    names = list(dict.fromkeys(row["method"] for row in rows))
-    ratios = {name: mean(*_ratios([row for row in rows if row["method"] == name], rows)).value for name in names}
+    names, constants = list(dict.fromkeys(row["method"] for row in rows)), constants_of(rows)
+    ratios = {name: mean(*_ratios([row for row in rows if row["method"] == name], constants)).value for name in names}
     return sorted(names, key=lambda name: (np.isnan(ratios[name]), ratios[name]))
 
 
-def _entry(method: str, group: str, part: str, cells: list[tuple[Row, dict[str, Any]]], rows: Sequence[Row]) -> Entry:
+def constants_of(rows: Sequence[Row]) -> dict[str, Row]:
+    """The result of the best constant map on each sample, by the sample's key."""
+    return {row["sample"]: row for row in rows if row["method"] == CONSTANT}
+
+
+def _entry(
+    method: str, group: str, part: str, cells: list[tuple[Row, dict[str, Any]]], constants: dict[str, Row]
+) -> Entry:
     scenes = [row["scene"] for row, _ in cells]
-    means = {RATIO: mean(*_ratios([row for row, _ in cells], rows, group, part))}
+    means = {RATIO: mean(*_ratios([row for row, _ in cells], constants, group, part))}
     means |= {key: mean([figures.get(key) for _, figures in cells], scenes) for key in METRICS}
     if group not in ("depth", "blur") and any(EDGE in figures for _, figures in cells):
         means[EDGE] = mean([figures.get(EDGE) for _, figures in cells], scenes)
@@ -137,10 +143,9 @@ def _figures(row: Row, group: str, part: str) -> dict[str, Any] | None:
 
 
 def _ratios(
-    own: Sequence[Row], rows: Sequence[Row], group: str = WHOLE[0], part: str = WHOLE[1]
+    own: Sequence[Row], constants: dict[str, Row], group: str = WHOLE[0], part: str = WHOLE[1]
 ) -> tuple[list[float | None], list[str]]:
     """RMSE of each row over that of the best constant map on the same sample and part, and the scenes."""
-    constants = {row["sample"]: row for row in rows if row["method"] == CONSTANT}
     ratios = [ratio(row, constants.get(row["sample"]), group, part) for row in own]
     return ratios, [row["scene"] for row in own]
 
@@ -161,11 +166,13 @@ def lost(row: Row, constant: Row | None) -> bool:
     return ours is None or best is None or not ours < best
 
 
-def figures(rows: Sequence[Row]) -> list[Figure]:
-    """Figures for gates and JSON: METHOD.METRIC over all, METHOD.GROUP.PART.METRIC, coverage and numbers of samples."""
-    found = []
-    constants = {row["sample"]: row for row in rows if row["method"] == CONSTANT}
-    for entry in entries(rows):
+def figures(rows: Sequence[Row], board: Sequence[Entry]) -> list[Figure]:
+    """Figures for gates and JSON: METHOD.METRIC over all, METHOD.GROUP.PART.METRIC, coverage and numbers of samples.
+
+    ``board`` are the entries of the rows.
+    """
+    found, constants = [], constants_of(rows)
+    for entry in board:
         whole = (entry.group, entry.part) == WHOLE
         place = entry.method if whole else f"{entry.method}.{entry.group}.{entry.part.replace(' ', '-')}"
         for key, value in entry.means.items():

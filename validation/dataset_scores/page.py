@@ -23,6 +23,7 @@ from validation.dataset_scores.leaderboard import (
     Entry,
     Mean,
     Row,
+    constants_of,
     lost,
     ranked,
     ratio,
@@ -58,7 +59,7 @@ def short(mean: Mean, digits: int = 3) -> str:
 def board(rows: Sequence[Row], found: Sequence[Entry]) -> list[dict[str, Any]]:
     """One row per method in the order of the ranks, as values for the template and the terminal."""
     whole = {entry.method: entry for entry in found if (entry.group, entry.part) == WHOLE}
-    constants = {row["sample"]: row for row in rows if row["method"] == CONSTANT}
+    constants = constants_of(rows)
     table = []
     for method in ranked(rows):
         own = [row for row in rows if row["method"] == method]

@@ -111,15 +111,27 @@ def about(samples: Dataset, split: str) -> dict[str, Any]:
     }
 
 
-def write(job: ScoreJob, rows: Sequence[Row]) -> None:
-    """Write the page, the leaderboard as CSV and JSON, and the table of all samples."""
+def write(job: ScoreJob, rows: Sequence[Row], found: Sequence[Entry]) -> None:
+    """Write the page, the leaderboard as CSV and JSON, and the table of all samples; ``found`` are the rows' entries."""
     samples = opened(job.dataset, job.split)
-    found, described = leaderboard.entries(rows), about(samples, job.split)
+    described = about(samples, job.split)
     board = {"schema": SCHEMA, "dataset": described, "figures": [_plain(entry) for entry in found]}
     storage.write(job.out, SAMPLES, samples_csv(rows).encode())
     storage.write(job.out, TABLE, table_csv(found).encode())
     storage.write(job.out, BOARD, json_bytes(board))
     storage.write(job.out, PAGE, page.page(described, rows, found, samples.rows).encode())
+
+
+def failures(rows: Sequence[Row]) -> list[str]:
+    """A line for each method that failed on samples, with the first of its messages."""
+    lines = []
+    for method in dict.fromkeys(row["method"] for row in rows):
+        own = [row for row in rows if row["method"] == method]
+        failed = [row for row in own if row["failed"] is not None]
+        if failed:
+            count = f"{len(failed)} of {len(own)} samples" if len(failed) < len(own) else f"all {len(own)} samples"
+            lines.append(f"{method} failed on {count}; {failed[0]['sample']}: {failed[0]['failed']}")
+    return lines
 
 
 def _plain(entry: Entry) -> dict[str, Any]:
@@ -141,7 +153,7 @@ def table_csv(found: Sequence[Entry]) -> str:
 
 def samples_csv(rows: Sequence[Row]) -> str:
     """One row per method and sample, with its figures over the near side of the focus."""
-    constants = {row["sample"]: row for row in rows if row["method"] == leaderboard.CONSTANT}
+    constants = leaderboard.constants_of(rows)
     heads = ["method", "sample", "scene", "kind", "illuminant", "light_e", "coverage", "seconds", "failed"]
     table = [[*heads, RATIO, *METRICS, EDGE]]
     for row in rows:
