@@ -85,6 +85,9 @@ def make(
         run = executors.local(processes, work, gpu=gpu)
     else:
         run = executors.ray(address, work, gpu=gpu)
+    if not storage.exists(out, plan.MANIFEST):  # a folder that is begun keeps its specification
+        storage.check_writable(out)
+        plan.check_space(described, out, -(-described.made // part[1]))
     plan.begin(out, plan.description(described, here))
     log = storage.local_path(out) / plan.log_name(part) if storage.is_local(out) else None
     with _progress_bar(described.name) as show:

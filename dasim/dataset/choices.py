@@ -133,6 +133,15 @@ class SceneChoice(Specification):
         for field, family in (("names", "bundled"), ("files", "files"), ("folder", "meshes")):
             if getattr(self, field) and self.family != family:
                 raise ValueError(f"{field} is for family = '{family}', not for '{self.family}'")
+        if self.captures_per_scene > 1 and self.family not in ("random", "meshes"):
+            raise ValueError(
+                f"captures_per_scene is for random scenes; those of family = '{self.family}' are used in turn, "
+                "so that the number of samples decides"
+            )
+        if self.random != RandomScenes() and self.family not in ("random", "meshes"):
+            raise ValueError(f"random is for family = 'random' or 'meshes', not for '{self.family}'")
+        if self.family == "meshes" and self.random.meshes:
+            raise ValueError("random.meshes: family = 'meshes' takes all of its folder; leave it out")
         if self.kinds and (self.family != "random" or self.random != RandomScenes()):
             raise ValueError("kinds is for family = 'random', and replaces the table random: leave that out")
         for name in self.kinds:
@@ -159,7 +168,10 @@ class SceneChoice(Specification):
 class LightChoice(Specification):
     """Distributions of the scenes' lights; by default the lights are those of the scene."""
 
-    illuminant: Drawn | None = Field(default=None, description="illuminant of all lights of the scene")
+    illuminant: Drawn | None = Field(
+        default=None,
+        description="illuminant of all lights of the scene but daylight, whose spectrum follows from the sun's elevation",
+    )
     scale: Drawn | None = Field(default=None, description="factor on the illuminance of all lights")
 
 
@@ -175,6 +187,12 @@ class ExposureChoice(Specification):
     time_s: Drawn | None = None
     gain: Drawn | None = None
     auto_level: Drawn | None = None
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> ExposureChoice:
+        if self.time_s is not None and self.auto_level is not None:
+            raise ValueError("time_s and auto_level: an exposure time leaves nothing to auto_level; leave one out")
+        return self
 
 
 class FrameChoice(Specification):

@@ -114,6 +114,11 @@ class DatasetSpec(Specification):
             raise ValueError(f"splits sum to {sum(self.splits.values()):g}, not to 1")
         if isinstance(self.spp, int) and not 1 <= self.spp <= MOST_SPP:
             raise ValueError(f"spp is {self.spp}: 1 to {MOST_SPP} or 'auto' is allowed")
+        if self.spp != "auto" and (self.noise_share, self.noise_at) != (NOISE_SHARE, NOISE_AT):
+            raise ValueError("noise_share and noise_at are for spp = 'auto'; leave them out")
+        seeds = "sensor.sensor_seed"
+        if self.sensor_per_sample and any(seeds in choice.vary for choice in self.cameras):
+            raise ValueError(f"sensor_per_sample and {seeds} of a camera both choose the sensor; leave one out")
         if 2 * self.truth.margin_px >= min(self.size_px):
             raise ValueError(f"truth.margin_px is {self.truth.margin_px}: nothing of {self.size_px} is left")
         if self.samples % self.views.count:

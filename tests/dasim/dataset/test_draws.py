@@ -76,7 +76,7 @@ def test_sample_depends_on_its_index_alone():
 
 
 def test_varied_parameters_reach_camera_light_and_exposure(tmp_path):
-    more = "time_s = 0.01\n[light]\nilluminant = 'A'\nscale = 3\n[focus]\ndistance_m = 0.7\n"
+    more = "gain = 2\n[light]\nilluminant = 'A'\nscale = 3\n[focus]\ndistance_m = 0.7\n"
     more += '[[cameras]]\nname = "da-mobile"\n[cameras.vary]\n'
     more += "'lens.f_number' = {uniform = [2.2, 2.8]}\n'stops.1.name' = 'other'\n"
     spec = load_spec(spec_file(tmp_path, more=more))
@@ -84,7 +84,7 @@ def test_varied_parameters_reach_camera_light_and_exposure(tmp_path):
     assert sample.camera.lens.f_number == sample.drawn["camera.lens.f_number"] != 2.0
     assert sample.camera.stops[1].name == "other"
     assert sample.camera.lens.focus_distance_m == 0.7
-    assert sample.exposure.time_s == 0.01 and sample.exposure.auto_level == sample.drawn["exposure.auto_level"]
+    assert sample.exposure.gain == 2 and sample.exposure.auto_level == sample.drawn["exposure.auto_level"]
     (light,) = sample.scene.lights
     assert (light.illuminant, light.lux) == ("A", 3000)
     assert (sample.camera.sensor.width_px, sample.camera.sensor.height_px) == (32, 24)

@@ -190,7 +190,6 @@ def test_stacks_of_views_are_folders_of_their_own(renderer, tmp_path):
     focus = '[[views.rig]]\nname = "left"\n[[views.rig]]\nname = "right"\nposition_cm = [2, 0, 0]\n'
     focus += "[focus]\ndistance_m = {each = [0.5, 0.2]}\n"
     spec = spec_file(tmp_path, 4, focus)
-    spec.write_text(spec.read_text().replace('family = "files"', 'family = "files"\ncaptures_per_scene = 2'))
     make_dataset(spec, tmp_path / "ds")
     samples = list(dasim.open_dataset(tmp_path / "ds"))
     out = tmp_path / "stacks"
