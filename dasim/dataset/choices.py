@@ -170,7 +170,7 @@ class LightChoice(Specification):
 
     illuminant: Drawn | None = Field(
         default=None,
-        description="illuminant of all lights of the scene but daylight, whose spectrum follows from the sun's elevation",
+        description="illuminant of all lights but daylight, whose spectrum follows from the sun's elevation",
     )
     scale: Drawn | None = Field(default=None, description="factor on the illuminance of all lights")
 

@@ -41,14 +41,20 @@ class RandomScenes(Specification):
     """Distributions of random scenes. Ranges are uniform unless stated otherwise; lengths are in centimetres."""
 
     room_share: Share = Field(
-        default=0.5, description="share of rooms (corner, hanging objects, posters); the rest are table tops"
+        default=0.5,
+        description="share of rooms (a corner or one wall, objects on boxes, posters); the rest are table tops",
     )
     depth_cm: tuple[Depth, Depth] = Field(default=(20.0, 80.0), description="range of the depths of all visible points")
     objects: tuple[Count, Count] = Field(default=(5, 40), description="number of objects, without floor and walls")
     size: tuple[Size, Size] = Field(
         default=(0.07, 0.32), description="size of an object over the width of the picture, log-uniform; less in crowds"
     )
-    surfaces: int = Field(default=10, ge=1, le=100, description="number of different surfaces, without pictures")
+    surfaces: int = Field(
+        default=10,
+        ge=1,
+        le=100,
+        description="number of different surfaces, without pictures; the first is plain, shares are of the others",
+    )
     textured_share: Share = 0.65
     background_textured_share: Share = 0.95
     glossy_share: Share = 0.10
@@ -69,9 +75,14 @@ class RandomScenes(Specification):
         default=(), description="PNG and JPEG files instead of the bundled photographs: files, folders or patterns"
     )
     lamps: tuple[Lamps, Lamps] = Field(default=(1, 3), description="number of lamps, in scenes lit by lamps")
-    window_share: Share = Field(default=0.2, description="share of scenes lit by a large panel on one side")
+    window_share: Share = Field(
+        default=0.2,
+        description="share of scenes lit by a large panel on one side, like a window, of any of the illuminants",
+    )
     outdoor_share: Share = Field(default=0.1, description="share of scenes lit by sun and sky, or an overcast sky")
-    lux: tuple[Lux, Lux] = Field(default=(100.0, 2000.0), description="sum of all lamps, log-uniform")
+    lux: tuple[Lux, Lux] = Field(
+        default=(100.0, 2000.0), description="sum of all lamps, log-uniform; outdoors ten times as much"
+    )
     fill_share: tuple[Share, Share] = Field(default=(0.1, 0.3), description="level of the dome relative to the lamps")
     illuminants: dict[str, Weight] = Field(default=ILLUMINANTS, description="weights; blackbodies are uniform in mired")
     blackbody_k: tuple[Kelvin, Kelvin] = (2300, 6500)

@@ -12,9 +12,9 @@ the evidence, and block i updates the hidden image h:
     h <- h + B_i relu(A_i * relu(h) + a_i) + b_i
 
 with a 3 x 3 convolution A_i of dilation ``DILATIONS[i]``. On the way back to the samples, the picture's features are
-added again. Blocks of the same form see pairs of samples before the nodes (``MIDDLE_DILATIONS``) and after them
-(``BACK_DILATIONS``), so that outlines of the picture become those of surfaces. The log probabilities of a sample's levels are those of the nodes, interpolated, plus a linear map of the
-sample's own features.
+added again. Blocks of the same form at pairs of samples, before and after the nodes (``MIDDLE_DILATIONS``,
+``BACK_DILATIONS``), relate outlines of the picture to those of surfaces. The log probabilities of a sample's levels are
+those of the nodes, interpolated, plus a linear map of the sample's own features.
 
 Networks trained from different initial weights make different errors where the evidence is weak, so the log
 probabilities of ``FILES`` are averaged (an ensemble; Lakshminarayanan, Pritzel, Blundell, NeurIPS 2017, average

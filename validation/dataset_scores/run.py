@@ -112,7 +112,7 @@ def about(samples: Dataset, split: str) -> dict[str, Any]:
 
 
 def write(job: ScoreJob, rows: Sequence[Row], found: Sequence[Entry]) -> None:
-    """Write the page, the leaderboard as CSV and JSON, and the table of all samples; ``found`` are the rows' entries."""
+    """Write the page, the leaderboard as CSV and JSON, and the table of all samples; ``found`` are its entries."""
     samples = opened(job.dataset, job.split)
     described = about(samples, job.split)
     board = {"schema": SCHEMA, "dataset": described, "figures": [_plain(entry) for entry in found]}

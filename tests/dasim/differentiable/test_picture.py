@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import dasim
+from dasim.base.errors import InputError
 from dasim.camera import geometry, noise
 from dasim.camera import specification as cameras
 from dasim.scene.specification import Scene
