@@ -101,6 +101,8 @@ def arrays_of(sample: Sample) -> dict[str, Any]:
 
     Whole numbers have a sign, because PyTorch computes with few unsigned types: raw numbers are int32, labels int64.
     Samples of one camera and one size have equal keys and shapes; names of objects and materials are left out.
+    ``mosaic`` lists the channels of its rows, as ``G,IR/R,G``; ``frames_exposure_s`` [frame] belongs to ``frames_dn``
+    [frame, h, w]; ``truth_offset_px`` (x, y) is the pixel of ``raw_dn`` at which the truth's arrays begin.
     """
     camera, about = sample.meta["camera"], sample.meta["sample"]
     signed = {"u2": np.int32, "u4": np.int64}
@@ -120,6 +122,10 @@ def arrays_of(sample: Sample) -> dict[str, Any]:
         "focal_length_mm": camera["lens"]["focal_length_mm"],
         "focus_m": camera["lens"]["focus_distance_m"],
         "black_level_dn": camera["sensor"]["black_level_dn"],
+        "adc_bits": camera["sensor"]["adc_bits"],
+        "mosaic": "/".join(",".join(row) for row in camera["sensor"]["mosaic"]),
+        "frames_exposure_s": np.array([frame["exposure_s"] for frame in about["frames"]]),
+        "truth_offset_px": np.array(about["truth"]["offset_px"]),
         "intrinsic_matrix_px": np.array(sample.meta["intrinsic_matrix_px"]),
         **{name: about[name] for name in ("capture", "view", "rig_camera") if name in about},
         **({"world_to_camera": np.array(about["world_to_camera"])} if about.get("world_to_camera") else {}),

@@ -44,6 +44,7 @@ MIDDLE_DILATIONS, BACK_DILATIONS = (1, 2), (2, 4)  # of those at pairs of sample
 SMOOTH_SD = 2.5
 SURE_SD = 0.4  # on smooth surfaces, levels, at which both posteriors have equal weight; 0.3 to 0.6 tie on ``tune``
 MIXED_SD = 0.6  # factor on the standard deviation on smooth surfaces in the mixture; chosen on ``tune``
+STATED_SD = 0.9  # on that of the mixture, because probabilities count as spread between levels; chosen on ``tune``
 TILE = 512  # nodes per side: frames of up to 4096 pixels per side are one tile
 HALO = 55  # nodes around a tile: the sum of ``DILATIONS``, half that of the others, and what single layers see
 
@@ -130,7 +131,8 @@ def _mixed(network: Moments, smooth: Moments) -> Moments:
     level = share * network.level + (1 - share) * smooth.level
     squares = [sd**2 + of.level**2 for of, sd in ((network, network.sd), (smooth, MIXED_SD * smooth.sd))]
     square = share * squares[0] + (1 - share) * squares[1]
-    return Moments(*(np.asarray(image, np.float32) for image in (level, np.sqrt(np.maximum(square - level**2, 0)))))
+    sd = STATED_SD * np.sqrt(np.maximum(square - level**2, 0))
+    return Moments(*(np.asarray(image, np.float32) for image in (level, sd)))
 
 
 def smooth_posterior(inputs: Float32Array, levels: FloatArray, last: float) -> Moments:

@@ -13,6 +13,7 @@ import pytest
 
 import dasim
 from dasim.base.errors import InputError
+from tests.support import datasets
 from tests.support.datasets import same_sample
 
 
@@ -103,6 +104,20 @@ def test_arrays_have_equal_keys_and_plain_values(both):
             assert isinstance(value, (np.ndarray, int, float, str)), name
             if isinstance(value, np.ndarray):
                 assert value.shape == rows[0][name].shape and value.dtype.kind in "bif", name
+
+
+def test_arrays_tell_what_a_network_needs_of_the_camera_and_its_frames(tmp_path, renderer):
+    """Set-up: a bracket of 1 and 4 with a margin of 2 pixels around the truth. Expectation: the sensor's numbers, the
+    ratio of the exposure times, and where the truth begins.
+    """
+    more = "[frames]\nbracket = [1, 4]\n[truth]\nmargin_px = 2\n"
+    datasets.make_dataset(datasets.spec_file(tmp_path, samples=1, more=more), tmp_path / "ds")
+    row = dasim.open_dataset(tmp_path / "ds").arrays()[0]
+    sensor = dasim.load_camera("da-mobile").sensor
+    assert (row["adc_bits"], row["mosaic"]) == (sensor.adc_bits, "/".join(map(",".join, sensor.mosaic)))
+    assert row["frames_exposure_s"][1] == pytest.approx(4 * row["exposure_s"])
+    (x, y), (height, width) = row["truth_offset_px"], row["depth_m"].shape
+    assert (height + 2 * y, width + 2 * x) == row["raw_dn"].shape
 
 
 def test_webdataset_library(both):

@@ -75,7 +75,7 @@ def test_evidence_on_smooth_surfaces_prevails_where_it_decides():
     found = surface_net._mixed(network, smooth)
     assert found.level == pytest.approx([2, 4, 6], abs=0.01)
     variance = (0.5**2 + (surface_net.MIXED_SD * sd[1]) ** 2) / 2 + 2**2
-    assert found.sd[1] == pytest.approx(np.sqrt(variance))
+    assert found.sd[1] == pytest.approx(surface_net.STATED_SD * np.sqrt(variance))
 
 
 def test_a_level_is_the_median_of_the_probability_between_listed_levels():
