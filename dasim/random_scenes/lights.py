@@ -19,7 +19,8 @@ def lights(seed: int, index: int, spec: RandomScenes, space: Room) -> list[dict[
     """Draw the lights: lamps or a window with a weak dome of the first one's illuminant, or daylight.
 
     Lamps stand outside the picture, at least a third of the farthest depth from everything visible, so that no object
-    near a lamp is much brighter than the others. Their levels are illuminances on a surface that faces them, on the
+    near a lamp is much brighter than the others; where walls leave less room, they stand nearer (in some 4 % of scenes
+    that reach from 20 cm to 20 m). Their levels are illuminances on a surface that faces them, on the
     optical axis at the middle of the range of inverse depth.
     """
     random = generator(seed, index, "light")
