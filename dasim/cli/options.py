@@ -144,7 +144,7 @@ def default_out(source: str | Path, ending: str = "") -> Path:
 def out_of(name: str, ending: str = "") -> str:
     """Output of a specification's ``name`` without --out: below ``out``, whatever the name is."""
     clean = re.sub(r"[^\w. -]+", "-", name).lstrip(".")
-    return f"out/{clean}{ending}"
+    return f"out/{clean or 'unnamed'}{ending}"
 
 
 def check_file(option: str, file: Path | None, *endings: str) -> list[str]:

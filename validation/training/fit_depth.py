@@ -20,7 +20,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from dasim.base import atomic
-from dasim.base.errors import InputError
 from dasim.typing import Float32Array
 from dasim.values import Capture
 from recon.depth.learned import MULTIPLE, blur_grid, images
@@ -147,8 +146,6 @@ def _batches(
     for start in range(0, len(order), BATCH):
         shown = [sources[index](random) for index in order[start : start + BATCH]]
         size = np.minimum(LARGEST, np.min([one.blur_px.shape for one in shown], axis=0)) // MULTIPLE * MULTIPLE
-        if not size.all():
-            raise InputError(f"training: a capture is smaller than {2 * MULTIPLE} pixels; make larger ones")
         parts = [cropped(one, (int(size[0]), int(size[1])), random) for one in shown]
         yield tuple(torch.from_numpy(np.stack(part)) for part in zip(*parts, strict=True))
 

@@ -20,6 +20,7 @@ from dasim.dataset.reading import Sample, open_dataset, spec_of
 from dasim.dataset.sample import key
 from dasim.files.captures import capture_of
 from dasim.typing import Progress
+from recon.depth.learned import MULTIPLE
 from recon.depth.learned_network import Network
 from validation.training import depth_examples, fit_depth
 from validation.training.fit_depth import Source
@@ -82,6 +83,8 @@ def of_sample(sample: Sample) -> Source | None:
         raise InputError(
             f"{where}: camera '{capture.camera.name}' has no {' or '.join(sorted(missing))} pixels; both are needed"
         )
+    if min(capture.raw_dn.shape) < 2 * MULTIPLE:
+        raise InputError(f"{where}: is smaller than {2 * MULTIPLE} pixels; make larger captures")
     blur = np.asarray(geometry.blur_px(capture.camera, np.asarray(sample.truth["depth_m"], np.float64)))
     blur = np.where(blur < BEHIND_PX, np.nan, np.maximum(blur, 0))
     if not np.isfinite(blur).any():

@@ -33,12 +33,16 @@ def capture(mean, camera=None):
     return Capture(raw, camera, 0.03, 1.0, 0)
 
 
-def test_a_sample_without_infrared_is_refused(monkeypatch):
-    camera = cameras.cropped("bayer-mobile", WIDTH, HEIGHT)
-    taken = Capture(np.zeros((HEIGHT, WIDTH), np.uint16), camera, 0.03, 1.0, 0)
+@pytest.mark.parametrize(
+    ("name", "height", "message"),
+    [("bayer-mobile", HEIGHT, "camera 'bayer-mobile' has no IR pixels"), ("da-mobile", 24, "is smaller than 32 pixels")],
+)
+def test_a_sample_that_cannot_be_learned_from_is_named(monkeypatch, name, height, message):
+    camera = cameras.cropped(name, WIDTH, height)
+    taken = Capture(np.zeros((height, WIDTH), np.uint16), camera, 0.03, 1.0, 0)
     monkeypatch.setattr(training, "capture_of", lambda *_: taken)
-    sample = SimpleNamespace(index=3, meta={}, raw_dn=taken.raw_dn, truth={"depth_m": np.full((HEIGHT, WIDTH), 0.3)})
-    with pytest.raises(InputError, match="000000003: camera 'bayer-mobile' has no IR pixels"):
+    sample = SimpleNamespace(index=3, meta={}, raw_dn=taken.raw_dn, truth={"depth_m": np.full((height, WIDTH), 0.3)})
+    with pytest.raises(InputError, match=f"000000003: {message}"):
         training.of_sample(sample)
 
 
