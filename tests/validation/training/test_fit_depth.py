@@ -35,7 +35,10 @@ def capture(mean, camera=None):
 
 @pytest.mark.parametrize(
     ("name", "height", "message"),
-    [("bayer-mobile", HEIGHT, "camera 'bayer-mobile' has no IR pixels"), ("da-mobile", 24, "is smaller than 32 pixels")],
+    [
+        ("bayer-mobile", HEIGHT, "camera 'bayer-mobile' has no IR pixels"),
+        ("da-mobile", 24, "is smaller than 32 pixels"),
+    ],
 )
 def test_a_sample_that_cannot_be_learned_from_is_named(monkeypatch, name, height, message):
     camera = cameras.cropped(name, WIDTH, height)
