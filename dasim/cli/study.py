@@ -133,8 +133,7 @@ def bound(
     wrong = _positive(*((name, value) for name, value in given if value is not None))
     if not 1 <= count <= MOST_DISTANCES:
         wrong.append(f"--count {count}: must be 1 to {MOST_DISTANCES}")
-    if not LUX_RANGE[0] <= lux <= LUX_RANGE[1]:
-        wrong.append(f"--lux {lux:g}: must be {LUX_RANGE[0]:g} to {LUX_RANGE[1]:g}")
+    wrong += _lux_problems(lux)
     names = tuple(name.strip() for name in channels.split(",") if name.strip())
     if len(names) < 2 or len(set(names)) != len(names):
         wrong.append(f"--channels '{channels}': must be two channels or more, such as G,IR")
@@ -201,6 +200,7 @@ def shape(
     from validation.studies.shape.study import Plan, check_plan, run_study
 
     wrong = _positive(("--near-cm", near_cm), ("--far-cm", far_cm), ("--lux", lux), ("--feature-um", feature_um))
+    wrong += _lux_problems(lux)
     lens = _focused(camera, focus, wrong)
     if quick:
         cells, seeds = min(cells, 40), min(seeds, 2)
@@ -236,6 +236,12 @@ def _focused(camera: str, focus: float | None, wrong: list[str]) -> Camera:
 
 def _positive(*options: tuple[str, float]) -> list[str]:
     return [f"{name} {value:g}: must be above 0" for name, value in options if not value > 0]
+
+
+def _lux_problems(lux: float) -> list[str]:
+    return (
+        [] if LUX_RANGE[0] <= lux <= LUX_RANGE[1] else [f"--lux {lux:g}: must be {LUX_RANGE[0]:g} to {LUX_RANGE[1]:g}"]
+    )
 
 
 def _collect(wrong: list[str], check: Callable[[], object]) -> None:

@@ -78,25 +78,29 @@ def changes(old: dict[str, Earlier], new: list[Claim], measured: set[str]) -> li
 def _verdict(before: Earlier, claim: Claim) -> str:
     if math.isnan(before.value) and math.isnan(claim.value):
         return "same"
+    distance = _distance(claim.limit)
     if math.isnan(before.value) or math.isnan(claim.value):
-        return "changed"
+        return "changed" if distance is None else "worse" if math.isnan(claim.value) else "better"
     known = [s for s in (before.spread, claim.spread) if s is not None and math.isfinite(s)]
     tolerance = SPREADS * math.sqrt(2) * max(known) if known else ROUNDING * max(abs(before.value), abs(claim.value))
-    if abs(claim.value - before.value) <= tolerance:
+    finite = math.isfinite(before.value) and math.isfinite(claim.value)
+    if claim.value == before.value or (finite and abs(claim.value - before.value) <= tolerance):
         return "same"
-    distance = _distance(claim.limit)
     if distance is None or distance(claim.value) == distance(before.value):
         return "changed"
     return "better" if distance(claim.value) < distance(before.value) else "worse"
 
 
 def _distance(limit: str | None):  # type: ignore[no-untyped-def]
-    """Distance of a value from the good end of its limit, in the direction of the limit; None without a limit."""
+    """Distance of a value from the good end of its limit, in the direction of the limit; None without a limit.
+
+    Of a range it is the distance from 0 if that is its middle, else how far the value is outside.
+    """
     if limit is None:
         return None
     if ".." in limit:
         low, high = (float(part) for part in re.split(r"\.\.", limit))
-        return lambda value: abs(value - (low + high) / 2)
+        return abs if low == -high else lambda value: max(low - value, 0.0, value - high)
     sign = 1.0 if limit.lstrip().startswith("<") else -1.0
     return lambda value: sign * value
 

@@ -248,13 +248,22 @@ def _over_seeds(runs: Sequence[Run]) -> Evidence:
 
 
 def over_seeds(measured: Sequence[list[Figure]]) -> list[Figure]:
-    """Mean and standard deviation (of a single measurement) of each figure over seeds; one seed gives no spread."""
+    """Mean and standard deviation (of a single measurement) of each figure over seeds; one seed gives no spread.
+
+    Figures named ``p`` are probabilities, of which the smallest counts, times their number (Bonferroni). A figure that
+    is missing for some seeds is NaN.
+    """
     if len(measured) == 1:
         return measured[0]
     results = []
-    for figure in measured[0]:
+    for figure in {figure.id: figure for figures in measured for figure in figures}.values():
         values = [other.value for figures in measured for other in figures if other.id == figure.id]
-        results.append(replace(figure, value=statistics.fmean(values), spread=_spread(values)))
+        if len(values) < len(measured):
+            results.append(replace(figure, value=math.nan))
+        elif figure.id.rpartition(".")[2] == "p":
+            results.append(replace(figure, value=min(1.0, len(values) * min(values))))
+        else:
+            results.append(replace(figure, value=statistics.fmean(values), spread=_spread(values)))
     return results
 
 

@@ -6,6 +6,7 @@ Tested in tests/validation/gates/test_run.py and tests/dasim/base/test_fingerpri
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Callable
 from dataclasses import asdict
@@ -15,7 +16,7 @@ from typing import Any
 from dasim.base import atomic, cache
 from dasim.base.cache import cache_dir
 from dasim.base.fingerprint import fingerprint, text_hash
-from validation.gates.claim import Evidence, plain_value
+from validation.gates.claim import Evidence
 from validation.scores.figures import Figure
 
 __all__ = ["earlier_seconds", "key", "load", "save", "text_hash"]
@@ -63,7 +64,8 @@ def save(name: str, seed: int, key: str, evidence: Evidence, seconds: float) -> 
     """
     content = asdict(evidence) | {"seconds": seconds}
     for figure in content["figures"]:
-        figure["value"] = plain_value(figure["value"])
+        if not math.isfinite(figure["value"]):
+            figure["value"] = str(figure["value"])  # inf, -inf and nan are no numbers of JSON
     path = _path(name, seed, key)
     try:
         for old in path.parent.glob(f"{name}.{seed}.*.json"):

@@ -115,13 +115,16 @@ def infrared_free(image_e: NDArray[Any], camera: Camera, light: str, settings: S
 def psnr(image: NDArray[Any], exact: FloatArray, where: BoolArray) -> float:
     """Peak signal-to-noise ratio in dB over the pixels ``where`` and all channels, of linear light.
 
-    10 log10(peak^2 / mean squared error); the peak is the 99.9th percentile of all of ``exact``.
+    10 log10(peak^2 / mean squared error); the peak is the 99.9th percentile of all of ``exact``. Infinite without any
+    error; NaN for an empty mask, and for a picture with values that are not finite there.
     """
     if not where.any():
         return float("nan")
     error = float(np.mean((image[where].astype(np.float64) - exact[where]) ** 2))
     peak = float(np.percentile(exact, PEAK_PERCENTILE))
-    return float(10 * np.log10(peak**2 / error)) if error > 0 and peak > 0 else float("inf")
+    if not np.isfinite(error) or not peak > 0:
+        return float("nan")
+    return float(10 * np.log10(peak**2 / error)) if error > 0 else float("inf")
 
 
 def display_scores(image: NDArray[Any], exact: FloatArray, where: BoolArray) -> dict[str, float]:

@@ -132,7 +132,8 @@ def edge_width(image: NDArray, blurred: NDArray[np.float32], where: BoolArray) -
     gets the width of the Gaussian that is equally steep there, 0.80 d (its own width is 0.69 d). A picture without
     visible edges gets the width of the largest Gaussian, 36 px.
 
-    ``blurred`` are :func:`blurred_gradients` of the truth; NaN for an empty mask.
+    ``blurred`` are :func:`blurred_gradients` of the truth; NaN for an empty mask, and for a picture whose values
+    there are not finite.
     """
     if not where.any():
         return float("nan")
@@ -140,6 +141,8 @@ def edge_width(image: NDArray, blurred: NDArray[np.float32], where: BoolArray) -
     edge = where & (steep >= np.quantile(steep[where], 1 - EDGE_SHARE))
     found = gradients(image)[:, edge]
     squares = np.array([np.square(found - one[:, edge]).mean() for one in blurred])
+    if not np.isfinite(squares).all():
+        return float("nan")
     best = int(np.argmin(squares))
     if 0 < best < len(squares) - 1:
         below, least, above = squares[best - 1 : best + 2]

@@ -102,7 +102,8 @@ def test_a_capture_that_is_not_sharpened_fails_all_in_focus(photographs, monkeyp
 
     monkeypatch.setattr(all_in_focus, "reconstructed", reconstructed)
     failures = failed("all-in-focus", all_in_focus.all_in_focus(lambda share: None, 0, bundled("best")))
-    assert failures == (set() if sharpened else {"best.desk.3-10", "best.desk.10-25"})
+    of_desk = {name for name in failures if name.startswith("best.desk.")}  # the other scenes are not measured here
+    assert of_desk == (set() if sharpened else {"best.desk.3-10", "best.desk.10-25"})
 
 
 # --- cost ----------------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from validation.gates.comparison import Earlier, changes
 from validation.gates.limits import bounds, within
 from validation.gates.outcome import Measurement
 from validation.gates.proposal import proposed
+from validation.gates.run import over_seeds
 from validation.scores.figures import Figure
 
 
@@ -27,13 +28,19 @@ from validation.scores.figures import Figure
         ("<= 1", 0.5, 0.4, 0.01, "better"),
         ("<= 1", 0.5, 0.6, 0.01, "worse"),
         (">= 1", 0.5, 0.6, 0.01, "better"),
-        ("0..1", 0.5, 0.6, 0.01, "worse"),
-        ("0..1", 0.4, 0.6, 0.01, "changed"),
+        ("0..1", 0.5, 0.6, 0.01, "changed"),
+        ("0..1", 1.2, 1.1, 0.01, "better"),
+        ("0..1", 0.4, -0.1, 0.01, "worse"),
+        ("-1..1", 0.5, 0.6, 0.01, "worse"),
+        ("<= 1", 0.5, math.inf, 0.01, "worse"),
+        ("<= 1", math.inf, math.inf, None, "same"),
         ("<= 1", 0.5, 0.6, 0.03, "same"),
         ("<= 1", 0.5, 0.5 + 1e-8, None, "same"),
         ("<= 1", 0.5, 0.5001, None, "worse"),
         (None, 0.5, 0.6, None, "changed"),
-        ("<= 1", math.nan, 0.6, 0.03, "changed"),
+        ("<= 1", math.nan, 0.6, 0.03, "better"),
+        ("<= 1", 0.6, math.nan, 0.03, "worse"),
+        (None, 0.6, math.nan, 0.03, "changed"),
         ("<= 1", math.nan, math.nan, None, "same"),
     ],
 )
@@ -120,6 +127,14 @@ def test_proposed_limits_hold_for_one_more_seed():
         assert count / len(values) == pytest.approx(0.99, abs=0.005), sign
     assert ".." in proposed(Claim("a.b", 7.0, None, "px", None, "", 0.3), 4)
     assert proposed(Claim("a.b", 7.0, "<= 9", "px", True, "", None), 4) is None
+
+
+def test_figures_of_several_seeds_are_joined_by_their_kind():
+    """Expectation: the mean of values; of probabilities the smallest times their number; NaN where a seed lacks one."""
+    runs = [[("a.size", 1.0), ("a.p", 0.8), ("a.rare", 2.0)], [("a.size", 3.0), ("a.p", 1e-9)]]
+    joined = over_seeds([[Figure(name, value, "1", "") for name, value in one] for one in runs])
+    size, p, rare = (figure.value for figure in joined)
+    assert (size, p) == (2.0, 2e-9) and math.isnan(rare)
 
 
 @pytest.mark.parametrize("limit", ["<= 9", ">= 5", None])

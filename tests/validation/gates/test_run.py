@@ -205,7 +205,8 @@ def test_pairs_show_both_pictures_with_a_slider(fakes, monkeypatch):
 def counted(progress) -> Evidence:
     """A claim that counts how often it was measured."""
     calls.append(1)
-    return Evidence([Figure("calls", float(len(calls)), "1", "calls"), Figure("none", math.nan, "1", "nothing", 0.5)],
+    return Evidence([Figure("calls", float(len(calls)), "1", "calls"), Figure("none", math.nan, "1", "nothing", 0.5),
+                     Figure("never", math.inf, "1", "never")],
                     pictures=[("a picture", "data:,")], tables=[("t", ["a"], [["1"]])])  # fmt: skip
 
 
@@ -220,6 +221,7 @@ def test_an_unchanged_claim_is_not_measured_again(fakes, monkeypatch, capsys):
     assert again.evidence.pictures == first.evidence.pictures and again.evidence.tables == first.evidence.tables
     assert again.claims[0].passed is True and first.claims[0].passed is None
     assert math.isnan(again.claims[1].value) and again.claims[1].spread == 0.5
+    assert again.claims[2].value == math.inf
     run_claims(fakes / "a", ["counted"], table, [], variant="y", fresh=False)
     assert len(calls) == 2
     (stored_file,) = (stored.cache_dir() / "claims").glob("counted.*.json")

@@ -219,6 +219,10 @@ def test_psnr_by_hand(error_e, decibel):
     assert psnr(exact + error_e, exact, everywhere) == pytest.approx(decibel)
     assert psnr(exact, exact, everywhere) == math.inf
     assert math.isnan(psnr(exact, exact, ~everywhere))
+    for wrong in (math.nan, math.inf):
+        broken = exact.copy()
+        broken[0, 0] = wrong
+        assert math.isnan(psnr(broken, exact, everywhere))
 
 
 def test_psnr_looks_only_where_it_is_asked():

@@ -125,6 +125,9 @@ def test_the_width_of_a_disc_is_that_of_the_gaussian_as_steep():
 def test_the_truth_has_no_width_to_add_and_an_empty_mask_none(texture):
     blurred = sharpness.blurred_gradients(texture)
     assert sharpness.edge_width(texture, blurred, np.ones(SIZE, bool)) == 0
+    texture = texture.copy()
+    texture[SIZE[0] // 2] = np.nan
+    assert np.isnan(sharpness.edge_width(texture, blurred, np.ones(SIZE, bool))), "a broken picture is not sharp"
     assert np.isnan(sharpness.edge_width(texture, blurred, np.zeros(SIZE, bool)))
 
 

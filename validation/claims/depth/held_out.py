@@ -58,8 +58,9 @@ class Judged:
 
     @property
     def lost(self) -> bool:
-        """Whether the map is not better than the best constant one; a capture of one depth is not judged."""
-        return self.failed is not None or self.scores[RATIO] > 1 - TIE
+        """Whether the map is unknown, or no better than the best constant one; a capture of one depth is not judged."""
+        known = self.failed is None and np.isfinite(self.scores["all.rmse"])
+        return not known or self.scores[RATIO] > 1 - TIE
 
     def value(self, key: str) -> float:
         """A score, NaN where it is not finite; without a reconstruction NaN, and the error of the best constant map as
@@ -169,7 +170,9 @@ def method_figures(method: NamedMethod, judged: Sequence[Judged], caption: str) 
     """Figures of a method: over all captures, and some of each; ``caption`` names the captures."""
     label = prefix(method, METHODS[:1])
     figures = losses(method.name, label, judged, caption, LOST)
-    text = f"{method}: RMSE in dioptres of the pixels of all captures together, over that of the best constant maps"
+    text = (
+        f"{method}: RMSE in dioptres over all captures that it reconstructs, of equal weight, over the constant maps'"
+    )
     figures.append(Figure(f"{label}{RATIO}.pooled", pooled_ratio(judged), "1", text))
     for key, (unit, meaning) in ALL_MEANINGS.items():
         values = known(judged, key)
@@ -186,7 +189,7 @@ def method_figures(method: NamedMethod, judged: Sequence[Judged], caption: str) 
 
 
 def pooled_ratio(judged: Sequence[Judged]) -> float:
-    """RMSE over that of the best constant maps, of all captures together; captures at near depths prevail."""
+    """RMSE over that of the best constant maps, of all reconstructed captures, of equal weight; near ones prevail."""
     pairs = [(one.scores["all.rmse"], one.scores[RATIO]) for one in judged if one.failed is None]
     squares = np.array([(rmse**2, (rmse / ratio) ** 2) for rmse, ratio in pairs if ratio > 0])
     return float(np.sqrt(squares[:, 0].sum() / squares[:, 1].sum())) if squares.size else float("nan")

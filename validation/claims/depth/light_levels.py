@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -65,7 +66,7 @@ def light_levels(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMeth
     figures: list[Figure] = []
     rows, curves = [], {}
     for number, light in enumerate(LIGHTS):
-        shot = photographed(lit_by(scene, light), camera, spp=SPP)
+        shot = photographed(lit_by(scene, light), camera, seed, spp=SPP)
         bank = recon.calibrate(dasim.calibration_captures(camera, diffraction=shot.capture.provenance["diffraction"]))
         errors: dict[str, list[float]] = {prefix(method, METHODS): [] for method in methods}
         for part, level_lux in enumerate(LEVELS_LUX):
@@ -147,7 +148,7 @@ def _constant(shot: Shot) -> float:
 
 def _picture(curves: dict[str, FloatArray], constant: float) -> str:
     def draw(axes: Any) -> None:
-        for colour, (light, errors) in zip(COLOURS, curves.items(), strict=False):
+        for colour, (light, errors) in zip(itertools.cycle(COLOURS), curves.items(), strict=False):
             axes.loglog(LEVELS_LUX, errors, "o-", color=colour, markersize=4, label=light)
         axes.axhline(constant, color="black", linestyle="--", linewidth=0.8)
         axes.axhline(ENOUGH * constant, color="#888888", linewidth=0.8)

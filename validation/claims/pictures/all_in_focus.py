@@ -134,7 +134,7 @@ def _gains(
                 Figure(f"{name}.{low:g}-{high:g}{suffix}", after - before, "dB", f"{name}, {against}: {text}")
             )
     least = f"{name}, {against}: least gain of all 5-px bins with {LEAST_SHARE:.0%} of the pixels"
-    figures.append(Figure(f"{name}.least{suffix}", min(losses, default=float("nan")), "dB", least))
+    figures.append(Figure(f"{name}.least{suffix}", float(np.min(losses)) if losses else float("nan"), "dB", least))
     before, after = measured(truth.valid & truth.boundary)
     text = f"{name}, {against}: gain in PSNR at boundaries"
     figures.append(Figure(f"{name}.boundary{suffix}", after - before, "dB", text))

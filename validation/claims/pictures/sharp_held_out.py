@@ -63,8 +63,8 @@ class Judged:
 
     @property
     def lost(self) -> bool:
-        """Whether the all-in-focus picture is worse than the captured one over all pixels."""
-        return self.failed is not None or self.value(OVERALL) < 0
+        """Whether the all-in-focus picture is worse than the captured one over all pixels, or has no score there."""
+        return self.failed is not None or not self.value(OVERALL) >= 0
 
     def value(self, key: str) -> float:
         """A gain, or the halo; NaN where it was not measured."""

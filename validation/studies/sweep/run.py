@@ -131,7 +131,10 @@ def _write_parquet(out: str, rows: list[Row]) -> None:
 
 
 def means(rows: list[Row], spec: StudySpec) -> list[Row]:
-    """One row per point: the mean of each figure over seeds, and its standard deviation as FIGURE:spread."""
+    """One row per point: the mean of each figure over seeds, and its standard deviation as FIGURE:spread.
+
+    Both are NaN if a seed has no finite value; the deviation also with a single seed.
+    """
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault(tuple(row[key] for key in spec.parameters), []).append(row)
@@ -140,8 +143,8 @@ def means(rows: list[Row], spec: StudySpec) -> list[Row]:
         one: Row = dict(zip(spec.parameters, values, strict=True))
         for key in FIGURES:
             every = np.array([row[key] for row in group], float)
-            known = every[np.isfinite(every)]
-            one[key] = float(known.mean()) if known.size else math.nan
-            one[f"{key}:spread"] = float(known.std(ddof=1)) if known.size > 1 else 0.0
+            known = bool(np.isfinite(every).all())
+            one[key] = float(every.mean()) if known else math.nan
+            one[f"{key}:spread"] = float(every.std(ddof=1)) if known and len(every) > 1 else math.nan
         averaged.append(one)
     return averaged

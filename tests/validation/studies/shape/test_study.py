@@ -10,11 +10,11 @@ from validation.studies.shape.study import Study
 
 
 def test_all_mistakes_are_named_in_one_line(tmp_path, capsys) -> None:  # type: ignore[no-untyped-def]
-    arguments = "--budget 0 --cells 4 --feature-um 1 --seeds 0 --light nix --near-cm 50"
+    arguments = "--budget 0 --cells 4 --feature-um 1 --seeds 0 --light nix --near-cm 50 --lux inf"
     assert run(["study", "shape", "--out", str(tmp_path / "out"), *arguments.split()]) == 2
     message = capsys.readouterr().err
     assert message.count("\n") == 1
-    for part in ("cells 4", "no light", "seeds 0", "feature 1 um", "near side", "illuminant 'nix'"):
+    for part in ("cells 4", "no light", "seeds 0", "feature 1 um", "near side", "illuminant 'nix'", "lux inf: must be"):
         assert part in message
     assert not (tmp_path / "out").exists()
 

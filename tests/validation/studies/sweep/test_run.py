@@ -97,6 +97,13 @@ def test_means_and_spread_over_seeds(study, tmp_path):
     x = 1 / 0.3 / 100
     assert one["depth-median"] == pytest.approx(1.05 * x)
     assert one["depth-median:spread"] == pytest.approx(0.1 * x / math.sqrt(2))
+    some = [
+        row | {"depth-median": math.inf} if row["seed"] else row
+        for row in sweep.measured_rows(Sweep(spec, str(tmp_path / "out"), {"variant": "any"}))
+    ]
+    assert all(math.isnan(row["depth-median"]) for row in sweep.means(some, spec)), (
+        "a design that fails is not the best"
+    )
 
 
 def test_the_page_is_self_contained(study, tmp_path):
