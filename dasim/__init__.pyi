@@ -1,5 +1,6 @@
 from .base.errors import InputError
 from .camera.describe import describe
+from .camera.dotted_keys import with_values
 from .camera.noise import Exposure, NoiseModel
 from .camera.pointspread import psf
 from .camera.prescription import camera_from_lens
@@ -75,4 +76,5 @@ __all__ = [
     "simulate",
     "staircase",
     "tiled",
+    "with_values",
 ]

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Set
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, RootModel, ValidationError, ValidationInfo, model_validator
 from pydantic.fields import FieldInfo
@@ -21,10 +21,35 @@ from dasim.base.errors import InputError, shortened
 from dasim.base.suggestions import did_you_mean
 
 
-class Specification(BaseModel):
-    """A frozen value that refuses unknown keys, NaN and infinity."""
+class _InOneLine(type(BaseModel)):  # type: ignore[misc]
+    """Class of the classes of specifications, whose constructors raise InputError."""
+
+    def __call__(cls, *args: Any, **fields: Any) -> Any:
+        try:
+            return super().__call__(*args, **fields)
+        except ValidationError as error:
+            raise _input_error(cls, fields, cls.__name__, error) from None
+
+
+if TYPE_CHECKING:
+    _Base = BaseModel  # type checkers take the parameters of constructors from the class of BaseModel alone
+else:
+
+    class _Base(BaseModel, metaclass=_InOneLine):
+        pass
+
+
+class Specification(_Base):
+    """A frozen value that refuses unknown keys, NaN and infinity; its constructor raises InputError, in one line."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name.startswith("_"):
+            super().__setattr__(name, value)
+        else:
+            kind = type(self).__name__
+            raise InputError(f"{kind}.{name} cannot be changed; make another {kind}, of model_dump() with other values")
 
     @model_validator(mode="before")
     @classmethod
@@ -68,6 +93,7 @@ def _check_numbers(key: str, value: Any, words: Set[str]) -> None:
 
 
 _NO_NUMBER = "no_number"  # type of the problem that a number is true, false or text
+MOST_PROBLEMS = 20  # in one message
 Model = TypeVar("Model", bound=BaseModel)
 
 
@@ -107,8 +133,15 @@ def parse(model: type[Model], data: Any, where: str, folder: Path = Path(".")) -
     try:
         return model.model_validate(data, context={"folder": folder})
     except ValidationError as error:
-        problems = [_problem(item, data, model) for item in _causes(error.errors())]
-        raise InputError(f"{where}: " + "; ".join(problems)) from None
+        raise _input_error(model, data, where, error) from None
+
+
+def _input_error(model: type[BaseModel], data: Any, where: str, error: ValidationError) -> InputError:
+    """The problems of plain data as one message, at most ``MOST_PROBLEMS`` of them."""
+    problems = [_problem(item, data, model) for item in _causes(error.errors())]
+    more = len(problems) - MOST_PROBLEMS
+    shown = problems[:MOST_PROBLEMS] + ([f"and {more} more"] if more > 0 else [])
+    return InputError(f"{where}: " + "; ".join(shown))
 
 
 def to_toml(data: dict[str, Any], table: str = "") -> str:

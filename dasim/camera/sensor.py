@@ -111,8 +111,15 @@ class Sensor(Specification):
             )
         known = grid.CHANNELS if curves is None else tuple(curves.channels)
         for name in sorted({name for row in rows for name in row}):
+            if name not in known and curves is not None:
+                raise ValueError(
+                    f"mosaic channel '{name}' has no curve in quantum_efficiency, which has {', '.join(known)}; add one"
+                )
             if name not in known:
-                raise ValueError(f"mosaic channel '{name}' is unknown, allowed are {', '.join(known)}")
+                raise ValueError(
+                    f"mosaic channel '{name}' is unknown, bundled curves are those of {', '.join(known)}; give others "
+                    "with quantum_efficiency"
+                )
         first_nm, last_nm = grid.WHOLE_GRID_NM
         last_nm = min(last_nm, self.cutoff_nm + 2 * self.cutoff_width_nm)
         if curves is not None and (curves.wavelength_nm[0] > first_nm or curves.wavelength_nm[-1] < last_nm):
@@ -126,6 +133,8 @@ class Sensor(Specification):
             )
         if self.black_level_dn >= 2**self.adc_bits - 1:
             raise ValueError(f"black_level_dn must be below {2**self.adc_bits - 1}")
+        if self.read_noise_e >= self.full_well_e:
+            raise ValueError(f"read_noise_e must be below full_well_e, {self.full_well_e:g} (is {self.read_noise_e:g})")
         edge = float(spectral_shares(self).edge.max())
         if edge > diffusion.LARGEST_EDGE_SHARE:
             raise ValueError(

@@ -82,6 +82,11 @@ def recon(
         if model is None:
             raise InputError("--focus: applies to raw files with --camera; a capture folder contains its focus")
         model = dasim.refocused(model, focus)
+    if flat is not None and flat.is_dir() != capture.is_dir():
+        raise InputError(
+            f"--flat {flat}: is a {'folder' if flat.is_dir() else 'file'}, capture {capture} is not; "
+            "both have the same format"
+        )
     time_s = None if exposure is None else options.seconds("--exposure", exposure)
     shot, even = (
         None if path is None else load_input(path, model, kind=format_, exposure_s=time_s, gain=gain)

@@ -125,11 +125,12 @@ def bound(
         csv_file: also write the table to this file
     """
     from dasim.base import atomic
+    from dasim.camera.sensor import channels as sensor_channels
     from dasim.spectra import illuminants
     from validation.studies import bound as bounds
     from validation.studies import criteria
 
-    given = [("--near-cm", near_cm), ("--far-cm", far_cm), ("--lux", lux)]
+    given = [("--near-cm", near_cm), ("--far-cm", far_cm)]
     wrong = _positive(*((name, value) for name, value in given if value is not None))
     if not 1 <= count <= MOST_DISTANCES:
         wrong.append(f"--count {count}: must be 1 to {MOST_DISTANCES}")
@@ -139,6 +140,9 @@ def bound(
         wrong.append(f"--channels '{channels}': must be two channels or more, such as G,IR")
     wrong += [*check_file("--json", json_file, ".json"), *check_file("--csv", csv_file, ".csv")]
     lens = _focused(camera, focus, wrong)
+    known = sensor_channels(lens.sensor)
+    if missing := [name for name in names if name not in known]:
+        wrong.append(f"--channels: camera '{lens.name}' has no channel {', '.join(missing)}; it has {', '.join(known)}")
     blurs: list[FloatArray] = []
     metres = [None if value is None else value / 100 for value in (near_cm, far_cm)]
     _collect(wrong, lambda: illuminants.illuminant(light))

@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from dasim.base.suggestions import did_you_mean
 from dasim.base.toml import Specification
+from dasim.camera.dotted_keys import Scalar
 from dasim.files.truth import TRUTH_PARTS
 from dasim.random_scenes.specification import RandomScenes
 from dasim.scene.loading import scene_names
@@ -24,7 +25,6 @@ MOST_FRAMES = 1000  # of a sample
 MOST_VIEWS = 10_000  # of a capture
 BRACKET = (1e-6, 1e6)  # of factors on an exposure time
 KIND = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
-Scalar = bool | int | float | str
 
 
 class Draw(Specification):

@@ -11,10 +11,10 @@ import numpy as np
 from dasim import loading
 from dasim.base.toml import Specification, parse
 from dasim.camera import specification as cameras
+from dasim.camera.dotted_keys import with_values
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
 from dasim.dataset.choices import Draw
-from dasim.dataset.dotted_keys import with_values
 from dasim.dataset.specification import DatasetSpec, kind, named_camera, random_spec, scene_count, scene_keys
 from dasim.random_scenes.scene import random_exposure, random_scene
 from dasim.scene.mitsuba_scene import MitsubaScene, is_mitsuba

@@ -13,6 +13,7 @@ from dasim.base.errors import InputError
 from dasim.base.loading import load_function
 from dasim.base.toml import Specification, bundled_or_file, parse_toml
 from dasim.camera import specification as cameras
+from dasim.camera.dotted_keys import with_values
 from dasim.camera.noise import LONGEST_EXPOSURE_S, NoiseModel, expose
 from dasim.camera.sensor import SMALLEST_FRAME_PX
 from dasim.camera.specification import Camera
@@ -28,7 +29,6 @@ from dasim.dataset.choices import (
     TruthChoice,
     ViewChoice,
 )
-from dasim.dataset.dotted_keys import with_values
 from dasim.random_scenes import specification
 from dasim.random_scenes.specification import RandomScenes
 from dasim.scene.loading import scene_names
@@ -197,7 +197,8 @@ def _camera_problems(spec: DatasetSpec, choice: CameraChoice) -> list[str]:
         return [str(error)]
     problems = _focus_problems(spec, camera)
     for key, distribution in choice.vary.items():
-        problems += _use_problems(distribution, lambda value, key=key: with_values(camera, {key: value}))  # type: ignore[misc]
+        found = _use_problems(distribution, lambda value, key=key: with_values(camera, {key: value}))  # type: ignore[misc]
+        problems += [f"vary: {problem}" for problem in found]
     return problems
 
 

@@ -7,6 +7,7 @@ per second through the lens and through a pinhole), expose (raw numbers, capture
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -35,6 +36,7 @@ from dasim.typing import Progress
 from dasim.values import Truth
 
 RENDERED_LUX = 1000.0  # all lights together, while they are rendered
+_RENDERING = threading.RLock()  # the renderer has one active variant and one memory, for all threads
 DEFAULT_SPP = 64  # a power of two, for which Sobol' points are most even
 
 
@@ -56,7 +58,8 @@ def simulate(
     """Photograph a scene: render each stop, expose, add noise, and keep the ground truth.
 
     The same seed and variant give the same bytes. The focus is that of the camera, even if the camera is given by name;
-    ``dasim.focused(camera, scene)`` sets the focus that the scene suggests.
+    ``dasim.focused(camera, scene)`` sets the focus that the scene suggests. Threads of one process take turns; use
+    processes to render in parallel.
 
     Args:
         scene: a Scene or MitsubaScene, or the name or path of one: ``dasim.simulate("desk", "da-mobile")``
@@ -118,6 +121,21 @@ def sensor_light(
     checks.check_options(spp, seed, diffraction, noise_share, noise_at)
     checks.check_exposure(exposure)
     sampling = Sampling(spp, noise_share, noise_at, seed)
+    with _RENDERING:
+        return _rendered(scene, camera, sampling, independent_mean, exposure, diffraction, variant, progress)
+
+
+def _rendered(
+    scene: Scene | MitsubaScene,
+    camera: Camera,
+    sampling: Sampling,
+    independent_mean: bool,
+    exposure: Exposure | None,
+    diffraction: str | None,
+    variant: str | None,
+    progress: Progress,
+) -> SensorLight:
+    """The light that reaches the sensor, of checked options."""
     try:
         view = prepare(scene, camera, diffraction, variant, progress)
         sharp = exact.sharp_pictures(view, sampling, progress)
@@ -127,12 +145,13 @@ def sensor_light(
         )
         if independent_mean:
             mean = _rounded(rendering.independent_picture(view, sharp, lens, sampling, progress))
-        pictures = exact.exact_pictures(view, sharp, seed, progress)
+        pictures = exact.exact_pictures(view, sharp, sampling.seed, progress)
     except RuntimeError as error:  # Mitsuba's
         if isinstance(scene, MitsubaScene):
             raise render_error(scene, error) from None
         raise
-    of_second, origin = describe_truth(view, mean, pictures), describe_origin(view, lens, seed, independent_mean)
+    of_second = describe_truth(view, mean, pictures)
+    origin = describe_origin(view, lens, sampling.seed, independent_mean)
     return SensorLight(camera, lens.rate, lens.variance, of_second, view.illuminant, origin, view.world.notes)
 
 

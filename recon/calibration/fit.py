@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dasim.base.errors import InputError
+from dasim.base.errors import InputError, kind_of
 from dasim.camera.rings import field_angle_deg
 from dasim.camera.sensor import channels, principal_point
 from dasim.camera.specification import Camera
@@ -24,14 +24,18 @@ FOCUS_TOLERANCE = 0.01  # relative difference of the focus in dioptres between b
 def check_fits(bank: PsfBank, capture: Capture) -> None:
     """Raise InputError if the bank was made for another camera or focus, or if the camera has no infrared pixels.
 
-    Frame sizes may differ, because kernels do not depend on them.
+    Frame sizes may differ, because kernels do not depend on them. Raises InputError, too, if one is of another type.
     """
+    if not isinstance(capture, Capture):
+        raise InputError(f"a Capture is needed, not {kind_of(capture)}")
     camera = capture.camera
     if "IR" not in channels(camera.sensor):
         raise InputError(
             f"camera '{camera.name}' has no infrared pixels, so depth cannot be estimated; "
             "use recon.develop for the colour picture alone"
         )
+    if not isinstance(bank, PsfBank):
+        raise InputError(f"a PsfBank is needed, not {kind_of(bank)}; see recon.calibrate")
     focus = f"{camera.lens.focus_distance_m:g}"
     check_lens(bank, camera, "the capture", f"make a bank with 'dasim calibrate --camera CAMERA --focus {focus}'")
 

@@ -132,6 +132,12 @@ def _capture(path: Path, raw: UInt16Array, camera: Camera, exposure: Exposure) -
             f"frame of {camera.sensor.width_px}x{camera.sensor.height_px}; correct both for pictures of this size"
         )
     sensor = parse(Sensor, changed, f"raw picture {path} with camera '{camera.name}'")
+    if raw.max() < sensor.black_level_dn:
+        raise InputError(
+            f"raw picture {path}: all pixels are below the black level of {sensor.black_level_dn} DN of camera "
+            f"'{camera.name}' (largest {raw.max()}); correct black_level_dn, or give a picture that is not black-level "
+            "corrected"
+        )
     assert exposure.time_s is not None
     return Capture(
         raw_dn=raw,

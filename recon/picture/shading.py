@@ -24,6 +24,7 @@ SAMPLES = 64  # blocks along the longer side for the fit of the polynomial
 MOST_SATURATED = 0.001  # largest share of saturated pixels in a flat
 DIMMEST_SHARE = 0.02  # least mean of a flat, relative to full scale
 LEAST_BLOCK_PX = 8
+LARGEST_DEVIATION = 0.05  # of blocks from the polynomial, relative and beyond noise; a picture with texture has more
 DARKEST_BLOCK = 0.02  # least mean of a block relative to the brightest one
 
 
@@ -71,7 +72,7 @@ def _inverse(electrons: Float32Array, where: NDArray, name: str) -> NDArray[np.f
     """Polynomial in row and column, of total degree ``DEGREE``, of 1 / electrons of a channel, [h, w].
 
     ``where`` [h, w] marks the channel's pixels. The fit is least squares over the means of square blocks, weighted by
-    the standard errors of their inverses.
+    the standard errors of their inverses. Raises InputError if the picture is not that of a uniform surface.
     """
     height, width = electrons.shape
     block = max(LEAST_BLOCK_PX, -(-max(height, width) // SAMPLES))
@@ -93,6 +94,14 @@ def _inverse(electrons: Float32Array, where: NDArray, name: str) -> NDArray[np.f
     design = np.stack([at_y[:, i] * at_x[:, j] for i, j in powers], axis=1)
     weight = (mean * np.sqrt(mean * count)).ravel()  # inverse standard error of 1 / mean for photon noise
     fitted, *_ = np.linalg.lstsq(design * weight[:, None], weight / mean.ravel(), rcond=None)
+    within = np.maximum(total(electrons.astype(np.float64) ** 2 * where) / count - mean**2, 0)
+    noise = within / np.maximum(count - 1, 1) / mean**2  # relative variance of a block's mean
+    excess = float(np.mean((design @ fitted * mean.ravel() - 1) ** 2 - noise.ravel()))
+    if excess > LARGEST_DEVIATION**2:
+        raise InputError(
+            f"flat: channel {name} differs by {np.sqrt(excess):.0%} (standard deviation) from a smooth shading; use a "
+            "uniform surface that fills the frame and is evenly lit"
+        )
     table = np.zeros((DEGREE + 1, DEGREE + 1))
     for (i, j), value in zip(powers, fitted, strict=True):
         table[i, j] = value

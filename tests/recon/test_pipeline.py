@@ -161,6 +161,15 @@ def test_a_bank_of_another_focus_or_camera_is_refused(scene):
         recon.reconstruct(other, bank)
 
 
+def test_other_values_than_capture_and_bank_are_refused(scene):
+    for arguments, message in (
+        ((scene.capture, None), "a PsfBank is needed, not None"),
+        ((recon_scenes.bank(), scene.capture), "a Capture is needed, not a PsfBank"),
+    ):
+        with pytest.raises(InputError, match=message):
+            recon.reconstruct(*arguments)
+
+
 def test_a_bank_of_another_kind_of_sensor_is_refused(scene):
     """Expectation: the message names what differs: response curves, pixels, or the channels of the mosaic."""
     bank, mine = recon_scenes.bank(), scene.capture.camera

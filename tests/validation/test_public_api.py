@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 import dasim
@@ -38,6 +39,13 @@ def test_the_true_depth_has_no_error(shot):
     values = {figure.id: figure.value for figure in figures}
     assert values["depth.all.coverage"] == 1.0 and values["depth.all.level-median"] == pytest.approx(0.0, abs=1e-6)
     assert "depth depth" in validation.table(figures)
+
+
+def test_maps_without_depth_are_refused(shot):
+    """Rationale: all figures of such a map would be NaN, and no gate would fail."""
+    for depth_m in (np.full(shot.truth.depth_m.shape, np.nan), np.zeros(shot.truth.depth_m.shape), [[None] * 48] * 36):
+        with pytest.raises(InputError, match="depth map"):
+            validation.score_map(depth_m, shot.capture, shot.truth)
 
 
 def test_swapped_arguments_are_refused_in_one_line(shot):

@@ -61,15 +61,26 @@ def score_map(
     """Figures of any depth map [h, w] in metres, NaN where there is no estimate, and of its confidence.
 
     ``depth_m`` is z from the lens plane; ``confidence`` [h, w] is on any increasing scale. Raises InputError if the
-    sizes differ, or if the truth lacks ``depth``.
+    sizes differ, if the map has no depth in any pixel, or if the truth lacks ``depth``.
     """
     _check_kinds((capture, Capture), (truth, Truth))
     truth.require(*DEPTH_NEEDS)
+    depth_m = _checked(depth_m)
     figures = depth_figures("depth", depth_m, truth, capture.camera, texture.textured(capture))
     figures += metric_figures("depth", depth_m, truth, metrics)
     if confidence is not None:
         figures += confidence_figures("depth", depth_m, confidence, truth, capture.camera)
     return figures
+
+
+def _checked(depth_m: NDArray[Any]) -> NDArray[Any]:
+    """A depth map as an array of numbers; raises InputError if it holds no depth."""
+    depth_m = np.asarray(depth_m)
+    if depth_m.dtype.kind not in "fiu":
+        raise InputError(f"score: a depth map of numbers is needed, not of {depth_m.dtype}")
+    if not (np.isfinite(depth_m) & (depth_m > 0)).any():
+        raise InputError("score: the depth map has no depth in any pixel; depths are metres above 0")
+    return depth_m
 
 
 def _check_kinds(*pairs: tuple[object, type]) -> None:

@@ -47,6 +47,7 @@ def refusal(folder, text: str) -> str:
         ("cutoff_nm = 810", "cutoff_nm = 840", ["sensor.cutoff_nm", "840"]),
         ("focus_distance_m = 0.4", "focus_distance_m = 0.4\nfocal_shift_um = [[900, 1]]", ["lens.focal_shift_um"]),
         ("edge_width_nm = 8", "edge_width_nm = 0", ["stops.0.edge_width_nm"]),
+        ("full_well_e = 6000", "full_well_e = 2", ["sensor: read_noise_e must be below full_well_e"]),
         ("width_px = 2048", "width_px = 2047", ["sensor", "2047 x 1536", "2 x 2 mosaic"]),
         ("width_px = 2048", "width_px = 2", ["sensor.width_px"]),
         ("pixel_pitch_um = 1.7", "pixel_pitch_um = 0", ["sensor.pixel_pitch_um"]),
@@ -133,7 +134,10 @@ def inline(nm=NM, **channels) -> str:
             "wavelength_nm must reach from 400 to 826 nm",
         ),
         (inline(NM[::-1], **dict.fromkeys(("R", "G", "B", "IR"), FLAT)), "wavelength_nm must rise"),
-        (inline(R=FLAT, G=FLAT, B=FLAT), "mosaic channel 'IR' is unknown, allowed are R, G, B"),
+        (
+            inline(R=FLAT, G=FLAT, B=FLAT),
+            "mosaic channel 'IR' has no curve in quantum_efficiency, which has R, G, B; add one",
+        ),
         (inline(**dict.fromkeys(("R", "G", "B", "IR", "a,b"), FLAT)), "channels.a,b: names must be"),
         ('file = "none.csv"', "none.csv: no such file"),
         ('file = "c.csv", ' + inline(R=FLAT), "file and curves both give the response"),
@@ -319,3 +323,36 @@ def test_hole_passes_near_infrared_alone(da_mobile):
     flat = [grid.integrate(radiometry.stop_response(da_mobile, stop)) for stop in da_mobile.stops]
     through_hole = flat[1] / (flat[0] + flat[1])
     assert through_hole[3] > 0.9 and through_hole[1] < 0.1 and through_hole[2] < 0.1
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: cameras.Levels(count=1, max_blur_px=-2), ("Levels: count", "max_blur_px")),
+        (lambda: dasim.Camera(name="mine"), ("Camera: lens: is missing", "sensor: is missing")),  # type: ignore[call-arg]
+        (lambda: dasim.Exposure(time_s=-1), ("Exposure: time_s", "(is -1)")),
+        (lambda: dasim.Exposure(times=1), ("times: unknown key; did you mean 'time_s'?",)),  # type: ignore[call-arg]
+        (lambda: setattr(dasim.Exposure(), "gain", 2), ("Exposure.gain cannot be changed",)),
+    ],
+)
+def test_mistakes_in_python_are_those_of_files(call, message):
+    """Rationale: who builds a camera in Python needs the same line as who writes a file."""
+    with pytest.raises(InputError) as raised:
+        call()
+    text = str(raised.value)
+    assert "\n" not in text and all(part in text for part in message), text
+
+
+def test_many_problems_are_cut():
+    mosaic = [["G", 1]] * 100
+    with pytest.raises(InputError, match=r"mosaic\.0\.1: must be a valid string .*; and 80 more"):
+        sensors.Sensor(width_px=8, height_px=8, pixel_pitch_um=1.0, mosaic=mosaic)  # type: ignore[arg-type]
+
+
+def test_with_values_changes_its_keys_alone(da_mobile):
+    """Expectation: entries of lists by name and by index, the camera itself unchanged."""
+    by_name = dasim.with_values(da_mobile, {"stops.hole.radius_ratio": 0.65, "lens.f_number": 2.0})
+    assert by_name == dasim.with_values("da-mobile", {"stops.1.radius_ratio": 0.65, "lens.f_number": 2.0})
+    assert (by_name.stops[1].radius_ratio, by_name.lens.f_number, da_mobile.stops[1].radius_ratio) == (0.65, 2.0, 0.46)
+    back = dasim.with_values(by_name, {"stops.hole.radius_ratio": 0.46, "lens.f_number": da_mobile.lens.f_number})
+    assert back == da_mobile

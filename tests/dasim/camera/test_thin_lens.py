@@ -8,7 +8,7 @@ import pytest
 from dasim.base.errors import InputError
 from dasim.camera import geometry, stops, thin_lens
 from dasim.camera import specification as cameras
-from dasim.dataset.dotted_keys import with_values
+from dasim.camera.dotted_keys import with_values
 from dasim.scene import targets
 from dasim.simulation.calibration import calibration_captures
 from dasim.spectra import grid as spectra

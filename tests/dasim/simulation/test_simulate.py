@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -150,6 +151,16 @@ def test_capture_says_where_it_comes_from(shot, renderer):
     assert [item["name"] for item in about["scene"]["objects"]] == ["wall", "card"]
     assert about["saturated_pixels"] == np.count_nonzero(capture.raw_dn == 1023)
     assert "folder" not in about["scene"], "no path of this computer in a data set"
+
+
+@pytest.mark.slow
+def test_threads_take_turns(scene, da_mobile, renderer):
+    """Rationale: the renderer has one state for a process; two threads within it end the process."""
+    camera = cameras.cropped(da_mobile, 32, 24)
+    with ThreadPoolExecutor(3) as pool:
+        shots = list(pool.map(lambda seed: simulate(scene, camera, seed=seed, spp=4), [0, 1, 0]))
+    assert np.array_equal(shots[0].capture.raw_dn, shots[2].capture.raw_dn)
+    assert not np.array_equal(shots[0].capture.raw_dn, shots[1].capture.raw_dn)
 
 
 def test_same_seed_same_bytes(scene, da_mobile, renderer):

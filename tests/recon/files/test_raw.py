@@ -124,6 +124,15 @@ def test_a_principal_point_is_that_of_one_size(tmp_path):
         raw_files.load_raw(tmp_path / "photo.npy", cameras.cropped(window, WIDTH - 8, HEIGHT))
 
 
+def test_a_picture_below_the_black_level_is_refused(tmp_path, ten):
+    """Set-up: numbers of which the black level has been taken away already."""
+    np.save(tmp_path / "dark.npy", np.full((HEIGHT, WIDTH), ten.sensor.black_level_dn - 1, np.uint16))
+    with pytest.raises(InputError, match="all pixels are below the black level of 64 DN"):
+        raw_files.load_raw(tmp_path / "dark.npy", ten)
+    np.save(tmp_path / "dark.npy", np.full((HEIGHT, WIDTH), ten.sensor.black_level_dn, np.uint16))
+    assert raw_files.load_raw(tmp_path / "dark.npy", ten).raw_dn.min() == 64
+
+
 @pytest.mark.parametrize("padding", [0, 8])
 @pytest.mark.parametrize("kind", ["raw10", "raw12", "raw16"])
 def test_packed_pixels(tmp_path, ten, twelve, kind, padding):

@@ -281,6 +281,11 @@ def test_flats_that_do_not_fit_are_refused():
     half = even * (np.arange(SIZE_PX[0]) > 64)
     with pytest.raises(InputError, match="not lit everywhere"):
         measured_gain(shaded(camera, half), camera)
+    leaves = even * np.random.default_rng(0).uniform(0.5, 1, (SIZE_PX[1] // 16, SIZE_PX[0] // 16)).repeat(16, 0).repeat(
+        16, 1
+    )
+    with pytest.raises(InputError, match="from a smooth shading"):
+        measured_gain(shaded(camera, leaves), camera)
     cut = dataclasses.replace(shaded(camera, even), camera=cameras.cropped(camera, 64, 48))
     with pytest.raises(InputError, match="width_px"):
         measured_gain(cut, camera)

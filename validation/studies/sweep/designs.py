@@ -15,8 +15,8 @@ import recon
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera import geometry
+from dasim.camera.dotted_keys import with_values
 from dasim.camera.specification import Camera, Levels
-from dasim.dataset.dotted_keys import with_values
 from dasim.scene import targets
 from dasim.scene.mitsuba_scene import MitsubaScene
 from recon.settings import Settings

@@ -44,7 +44,7 @@ def test_every_design_of_a_study_is_calibrated_at_the_same_blurs(study):
 
 @pytest.mark.parametrize("alpha", [0.3, 0.46, 0.9])
 def test_light_loss_is_that_of_eq_1(da_mobile, alpha):
-    from dasim.dataset.dotted_keys import with_values
+    from dasim.camera.dotted_keys import with_values
 
     loss = light_loss(with_values(da_mobile, {"stops.hole.radius_ratio": alpha}))
     assert loss == pytest.approx((1 - alpha**2) / 4, abs=EDGES)
