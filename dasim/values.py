@@ -1,7 +1,8 @@
 """The values that flow between simulator, reconstruction and scores.
 
 Images are [y, x] or [y, x, channel]; channels are in the order of ``camera.channels`` (R, G, B, IR).
-Pixel centres are at +0.5, x to the right, y down, z forward, lengths in metres.
+Pixel centres are at +0.5, x to the right, y down, z forward, lengths in metres. Values that hold images compare by
+identity, and may be keys of a dict.
 
 Tested in tests/dasim/files/test_captures.py.
 """
@@ -35,7 +36,7 @@ TRUTH_PARTS = {
 }
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Capture:
     """One raw picture, the camera and the exposure."""
 
@@ -52,7 +53,7 @@ class Capture:
         return f"Capture({_size(self.raw_dn)}, {_name(self.camera)}, {exposure}, light {self.illuminant or 'unknown'})"
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Truth:
     """Ground truth of a simulated capture, per pixel; ``depth_m`` is NaN where no surface is hit.
 
@@ -128,7 +129,7 @@ class Truth:
         return f"Truth({_size(self.depth_m)}, {depths}, {len(self.objects)} objects, channels {channels})"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PointPicture:
     """Frames of a point source for calibration: one light, level and position.
 
@@ -168,7 +169,7 @@ class PointPictures:
         return self.count
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class LevelsBehind:
     """Measured point-spread functions behind the focus; level 0 is the focus, level k lies at the signed level -k."""
 
@@ -177,7 +178,7 @@ class LevelsBehind:
     blur_px: Float32Array  # [level] signed visible blur diameter, 0 and below
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class PsfBank:
     """Measured point-spread functions of a camera at one focus."""
 
@@ -198,7 +199,7 @@ class PsfBank:
         return f"PsfBank({_name(self.camera)}, {levels}, {kernels})"
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class DepthEstimate:
     """What a depth method estimates from a capture: the blur level or the depth of every pixel, NaN where unknown.
 
@@ -274,7 +275,7 @@ def _map(image: Any, name: str) -> NDArray[np.floating]:
     return image
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Reconstruction:
     """The result of a reconstruction. NaN marks pixels without an estimate."""
 
@@ -302,7 +303,7 @@ class Reconstruction:
         return f"Reconstruction({_size(self.level)}, {_name(self.camera)}, {depths}, light {self.light}, {made})"
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Developed:
     """The colour picture of a capture alone, without depth."""
 

@@ -74,7 +74,11 @@ def reconstruct(
     variances = raw_levels.variances(linear.raw_e, capture, collected_e)
     captured = _captured(linear, capture, collected_e, white, separation, settings, stage)
     del collected_e  # limits the memory of large frames
-    notes = (*place_notes(bank, camera), *colour.light_notes(linear.raw_e, linear.saturated, camera, bank))
+    notes = (
+        *place_notes(bank, camera),
+        *mosaic.saturation_notes(linear.saturated),
+        *colour.light_notes(linear.raw_e, linear.saturated, camera, bank),
+    )
     with stage("depth"):
         found = _levels(capture, bank if method else on_axis, linear, variances, settings, method, tile_px)
     if bank.behind is None:  # levels behind the focus were clamped to it

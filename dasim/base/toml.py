@@ -51,6 +51,9 @@ class Specification(_Base):
             kind = type(self).__name__
             raise InputError(f"{kind}.{name} cannot be changed; make another {kind}, of model_dump() with other values")
 
+    def __hash__(self) -> int:
+        return hash((type(self), self.model_dump_json()))  # tables within it have no hash of their own
+
     @model_validator(mode="before")
     @classmethod
     def _numbers_are_numbers(cls, data: Any) -> Any:

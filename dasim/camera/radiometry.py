@@ -9,7 +9,7 @@ import numpy as np
 
 from dasim.camera import coatings, distortion, stops
 from dasim.camera.geometry import aperture_m, image_distance_m
-from dasim.camera.sensor import cutoff, quantum_efficiency
+from dasim.camera.sensor import channels, cutoff, quantum_efficiency
 from dasim.camera.specification import Camera, shading
 from dasim.spectra import grid
 from dasim.typing import FloatArray
@@ -39,3 +39,25 @@ def stop_response(camera: Camera, stop: stops.Stop, angle_deg: float = 0.0) -> F
 def response(camera: Camera, angle_deg: float = 0.0) -> FloatArray:
     """Spectral response of the whole camera, the sum of :func:`stop_response` over its stops, [channel, wavelength]."""
     return np.sum([stop_response(camera, stop, angle_deg) for stop in camera.stops], axis=0)
+
+
+def light_loss(camera: Camera) -> float:
+    """Share of the light that the mosaic loses to stops smaller than the lens, eq. (1) of the paper.
+
+    Each pixel of the mosaic loses the light that the stops block in its own band, which is 650 nm and beyond for IR and
+    below 650 nm for the other channels. A hole of radius ratio alpha for one pixel of four loses (1 - alpha^2) / 4.
+    """
+    names = channels(camera.sensor)
+    opened = camera.model_copy(update={"stops": tuple(_opened(stop) for stop in camera.stops)})
+    infrared = grid.WAVELENGTH_NM >= grid.NEAR_INFRARED_NM[0]
+    band = np.stack([infrared if name == "IR" else ~infrared for name in names])
+    passed, whole = (grid.integrate(response(c) * band) for c in (camera, opened))
+    block = [names.index(name) for row in camera.sensor.mosaic for name in row]
+    return float(np.mean([1 - passed[pixel] / whole[pixel] for pixel in block]))
+
+
+def _opened(stop: stops.Stop) -> stops.Stop:
+    """The stop with the aperture of the whole lens."""
+    return stops.Disc(
+        name=stop.name, passes_nm=stop.passes_nm, edge_width_nm=stop.edge_width_nm, shape="disc", radius_ratio=1.0
+    )

@@ -26,7 +26,7 @@ from dasim.files.captures import unscaled
 from dasim.files.truth import read_truth_parts
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sample:
     """A capture with its truth, as plain arrays."""
 

@@ -23,6 +23,7 @@ from recon.picture import menon
 
 Phase = tuple[int, int]
 
+MANY_SATURATED = 0.05  # share of the pixels
 SATURATION_SHARE = 0.98  # of full scale, from which a pixel counts as saturated, with an allowance for noise
 STRIP_PX = 256  # rows per strip of the demosaicing, even
 EXCESS_PATCH, EXCESS_PERCENTILE = 16, 2.0
@@ -109,6 +110,14 @@ def linearise(capture: Capture) -> tuple[Float32Array, BoolArray]:
     full_dn = noise.saturation_e(sensor, capture.gain) / noise.electrons_per_dn(sensor, capture.gain)
     electrons = np.asarray(corrected(electrons, capture.camera), np.float32)
     return electrons, raw >= sensor.black_level_dn + SATURATION_SHARE * full_dn
+
+
+def saturation_notes(saturated: BoolArray) -> tuple[str, ...]:
+    """A note if more than ``MANY_SATURATED`` of the pixels of a mask [h, w] are saturated."""
+    share = float(saturated.mean())
+    if share <= MANY_SATURATED:
+        return ()
+    return (f"{share:.0%} of the pixels are saturated and tell neither depth nor colour; use a shorter exposure",)
 
 
 def planes(mosaic: NDArray, camera: Camera) -> dict[str, NDArray]:

@@ -181,6 +181,14 @@ def test_wrong_arguments_are_refused_in_one_line(call, message):
     assert message in str(raised.value) and "\n" not in str(raised.value)
 
 
+def test_values_can_be_compared_and_be_keys():
+    """Expectation: cameras by what they hold; captures, which hold arrays, by identity, and not with an error."""
+    assert CAMERA == dasim.load_camera("da-mobile") and len({CAMERA, dasim.load_camera("da-mobile")}) == 1
+    raw = np.zeros((CAMERA.sensor.height_px, CAMERA.sensor.width_px), np.uint16)
+    first, second = (dasim.Capture(raw.copy(), CAMERA, 0.01, 1.0, 0) for _ in range(2))
+    assert first == first and first != second and len({first, second, first}) == 2
+
+
 def test_specifications_have_a_short_repr():
     assert repr(CAMERA) == (
         "<Camera 'da-mobile': 3.6 mm f/2.8 focused at 40 cm, stops open, hole, 2048x1536 pixels of 1.7 um, "

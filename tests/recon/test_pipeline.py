@@ -200,6 +200,16 @@ def test_a_bank_of_another_light_gives_a_note(scene, result):
     assert "far from every light of the bank (A)" in note and "--illuminant" in note
 
 
+def test_many_saturated_pixels_give_a_note(scene, result):
+    assert not any("saturated" in note for note in result.notes)
+    raw = scene.capture.raw_dn.copy()
+    raw[:, : raw.shape[1] // 4] = 1023
+    clipped = recon.reconstruct(
+        dataclasses.replace(scene.capture, raw_dn=raw), recon_scenes.bank(), recon.PRESETS["paper"]
+    )
+    assert any(note.startswith("25% of the pixels are saturated") for note in clipped.notes), clipped.notes
+
+
 def test_a_bank_of_another_place_gives_a_note(scene):
     """Set-up: a frame about the axis; kernels of the axis, of a place 5 degrees off it and of 31 degrees.
 

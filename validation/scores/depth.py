@@ -124,17 +124,17 @@ def depth_scores(depth_m: NDArray[Any], truth: Truth, camera: Camera, texture: B
 def by_level(
     depth_m: NDArray[Any], truth: Truth, camera: Camera, texture: BoolArray
 ) -> list[tuple[float, float, float]]:
-    """Median absolute error and bias in levels by true level, because a median over all levels hides where a map fails.
+    """Median absolute error and bias in levels by true level, because figures over all levels hide where a map fails.
 
-    Covers the region "textured". For each interval of ``LEVEL_EDGES``: its lower end, the error and the bias, both NaN
-    if the truth has no such level or the map no estimate.
+    Covers the region "textured". For each interval of ``LEVEL_EDGES``: its lower end, the median error and the bias
+    (the mean error, as in ``METRICS``), both NaN if the truth has no such level or the map no estimate.
     """
     where = regions(truth, texture)["textured"] & np.isfinite(depth_m) & (depth_m > 0)
     error = errors_of(np.clip(depth_m[where], MIN_DEPTH_M, MAX_DEPTH_M), truth.depth_m[where], camera).level
     rows = []
     for low, high in itertools.pairwise(LEVEL_EDGES):
         part = error[(truth.level[where] >= low) & (truth.level[where] < high)]
-        median, bias = (float(np.median(e)) if e.size else float("nan") for e in (np.abs(part), part))
+        median, bias = (float(np.median(np.abs(part))), float(part.mean())) if part.size else (np.nan, np.nan)
         rows.append((max(low, 0.0), median, bias))
     return rows
 

@@ -135,7 +135,7 @@ def level_figures(name: str, depth_m: NDArray[Any], truth: Truth, camera: Camera
     for low, median, bias in depth.by_level(depth_m, truth, camera, textured):
         where = f"textured pixels of true levels from {low:g}"
         figures.append(Figure(f"{name}.at-{low:g}.level-median", median, "level", f"{where}: median |l - l*|"))
-        figures.append(Figure(f"{name}.at-{low:g}.level-bias", bias, "level", f"{where}: median l - l*"))
+        figures.append(Figure(f"{name}.at-{low:g}.level-bias", bias, "level", f"{where}: mean(l - l*)"))
     return figures
 
 

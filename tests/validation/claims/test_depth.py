@@ -150,10 +150,8 @@ def test_a_hole_that_does_not_count_fails_the_balance(small_balance, monkeypatch
 
 def test_a_hole_of_another_size_fails_the_light_loss(small_balance, monkeypatch):
     """5 % more radius."""
-    honest = balance.stops.light_loss
-    monkeypatch.setattr(
-        balance.stops, "light_loss", lambda parts, pixels: honest([(n, 1.05 * a) for n, a in parts], pixels)
-    )
+    honest = balance.with_hole
+    monkeypatch.setattr(balance, "with_hole", lambda camera, alpha: honest(camera, 1.05 * alpha))
     assert "balance.light-loss" in failed("balance", small_balance().figures)
 
 

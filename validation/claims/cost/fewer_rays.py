@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import combine_pvalues, ttest_ind
 
 import dasim
 from dasim.camera.noise import Exposure
@@ -17,6 +16,7 @@ from dasim.simulation.rendering import LensPicture, Sampling, SharpPictures, Vie
 from dasim.simulation.simulate import prepare
 from dasim.typing import FloatArray, ShareDone
 from validation.gates.claim import Evidence
+from validation.scores.chance import by_chance
 from validation.scores.figures import Figure
 from validation.subjects.rendering import block_means, needs_wave
 
@@ -42,8 +42,9 @@ def fewer_rays(progress: ShareDone) -> Evidence:
     stop, and the power law through both gives the number that reaches the target. For the bias, ``desk`` at 96 x 72 px:
     24 pictures of ``--spp auto`` against 24 with 256 equal samples and no control variate.
 
-    Expectation: the figure is the ratio of both numbers of samples. For the bias, Welch's t-test compares the means
-    over blocks of 8 x 8 pixels of both kinds of pictures, and Fisher's method combines the p-values.
+    Expectation: the figure is the ratio of both numbers of samples. For the bias, a permutation test
+    compares the means over blocks of 8 x 8 pixels of both kinds of pictures. It exchanges whole pictures, because the
+    blocks of a picture are not independent.
 
     Limit: at most a tenth of the rays; p at least 0.001 in each channel.
 
@@ -103,13 +104,13 @@ def bias_figures(scene: Scene | MitsubaScene) -> list[Figure]:
         auto, equal = Sampling("auto", share, at, seed), Sampling(BIAS_SPP, share, at, BIAS_SEEDS + seed)
         blocks[0].append(block_means(_picture(view, _sharp(view, auto), auto).rate, BIAS_BLOCK_PX))
         blocks[1].append(block_means(_picture(view, _without(_sharp(view, equal)), equal).rate, BIAS_BLOCK_PX))
-    p = ttest_ind(*blocks, axis=0, equal_var=False).pvalue
-    difference = np.mean(blocks[0], axis=(0, 1, 2)) / np.mean(blocks[1], axis=(0, 1, 2)) - 1
+    one, other = (np.stack(pictures) for pictures in blocks)
+    difference = one.mean(axis=(0, 1, 2)) / other.mean(axis=(0, 1, 2)) - 1
     figures = []
     for channel, name in enumerate(channels(view.camera.sensor)):
-        combined = float(combine_pvalues(p[..., channel].ravel()).pvalue)
+        value = by_chance(*(part[..., channel].reshape(len(part), -1) for part in (one, other)))
         what = f"{BIAS_SCENE}, {name}: probability of such differences between block means by chance"
-        figures.append(Figure(f"bias.p.{name}", combined, "1", what))
+        figures.append(Figure(f"bias.p.{name}", value, "1", what))
         what = f"{BIAS_SCENE}, {name}: relative difference of the picture's mean"
         figures.append(Figure(f"bias.mean.{name}", float(difference[channel]), "1", what))
     return figures

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import permutation_test
 
 import dasim
 from dasim.base.errors import InputError
@@ -27,6 +26,7 @@ from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.typing import FloatArray, ShareDone
 from validation.gates.claim import Evidence
+from validation.scores.chance import by_chance
 from validation.scores.figures import Figure
 from validation.subjects.rendering import NotRun, block_means
 
@@ -37,7 +37,7 @@ SIZES_PX = {"512x384": (512, 384), "3Mpx": (2048, 1536)}
 RANDOM_SEED, RANDOM_SCENES, RANDOM_SIZE_PX = 7, 6, (512, 384)
 COMPARED = ("desk", 0, 3)  # bundled scenes by name, random scenes by number
 COMPARED_SIZE_PX, COMPARED_SPP, COMPARED_SEEDS = (96, 72), 64, 16
-BLOCK_PX, PERMUTATIONS = 8, 9999
+BLOCK_PX = 8
 POLL_S = 0.2
 
 # One process per variant: a process cannot change it.
@@ -123,29 +123,12 @@ def _agreement(scene: str, card: FloatArray, processor: FloatArray) -> list[Figu
     difference = card.mean(axis=(0, 1, 2)) / processor.mean(axis=(0, 1, 2)) - 1
     figures = []
     for channel, colour in enumerate(channels(dasim.load_camera("da-mobile").sensor)):
-        value = _by_chance(*(part[..., channel].reshape(len(part), -1) for part in blocks))
+        value = by_chance(*(part[..., channel].reshape(len(part), -1) for part in blocks))
         text = f"{what}, {colour}: probability of such differences between block means by chance"
         figures.append(Figure(f"agreement.p.{scene}.{colour}", value, "1", text))
         text = f"{what}, {colour}: relative difference of the picture's mean"
         figures.append(Figure(f"agreement.mean.{scene}.{colour}", float(difference[channel]), "1", text))
     return figures
-
-
-def _by_chance(one: FloatArray, other: FloatArray) -> float:
-    """Probability that exchanging pictures [seed, block] makes the two sets differ as much."""
-    both = np.concatenate([one, other])
-
-    def distance(first: FloatArray, second: FloatArray, axis: int) -> FloatArray:
-        """Mean square difference of the blocks' means relative to their noise; the arguments are numbers of seeds."""
-        parts = [both[numbers.astype(int)] for numbers in (first, second)]  # [..., seed, block]
-        variance = np.sum([part.var(axis=-2, ddof=1) / part.shape[-2] for part in parts], axis=0)
-        return np.asarray(np.mean((parts[0].mean(axis=-2) - parts[1].mean(axis=-2)) ** 2 / variance, axis=-1))
-
-    numbers = np.arange(len(one)), np.arange(len(one), len(both))
-    test = permutation_test(
-        numbers, distance, n_resamples=PERMUTATIONS, batch=500, alternative="greater", vectorized=True, rng=0
-    )
-    return float(test.pvalue)
 
 
 def _run(variant: str, file: Path) -> dict[str, Any]:

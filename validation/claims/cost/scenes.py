@@ -165,8 +165,10 @@ def interreflection(progress: ShareDone) -> Evidence:
             rms = max(square, 0.0) ** 0.5
             mean = float(ours[..., channel].mean() / traced[..., channel].mean() - 1)
             rms_text = f"{name}, {colour}: RMS relative difference of block means, noise variance subtracted"
+            noise_text = f"{name}, {colour}: RMS rendering noise of the difference, which is subtracted"
             mean_text = f"{name}, {colour}: relative difference of the picture's mean"
             figures.append(Figure(f"{name}.rms.{colour}", rms, "1", rms_text))
+            figures.append(Figure(f"{name}.noise.{colour}", float(noise[..., channel].mean()) ** 0.5, "1", noise_text))
             figures.append(Figure(f"{name}.mean.{colour}", mean, "1", mean_text))
         share_text = f"{name}: share of the grid's cells that are interpolated"
         figures.append(Figure(f"{name}.interpolated", fields[0].share, "1", share_text))

@@ -20,14 +20,12 @@ import recon
 from dasim.base.errors import InputError, describe_error
 from dasim.base.executors import Outcome
 from dasim.base.fingerprint import fingerprint, named_files, text_hash
-from dasim.camera import geometry, noise, radiometry, stops
-from dasim.camera import sensor as sensors
+from dasim.camera import geometry, noise, radiometry
 from dasim.camera.specification import Camera
 from dasim.dataset import sample, storage
 from dasim.scene.specification import Scene
 from dasim.simulation.exposure import Shot
 from dasim.simulation.relight import LONGEST_S, MOST_GAIN, exposed, lit_by
-from dasim.spectra import grid as spectra
 from dasim.typing import FloatArray
 from dasim.values import Capture, Reconstruction, Truth
 from validation.methods import function, reconstructed
@@ -260,7 +258,7 @@ def figures(result: Reconstruction, capture: Capture, truth: Truth) -> dict[str,
     pictures = {score.region: score for score in picture_scores.picture_scores(result, truth)}
     sharp, captured = pictures["inner"].sharpened, pictures["inner"].captured
     return {
-        "light-loss": light_loss(capture.camera),
+        "light-loss": radiometry.light_loss(capture.camera),
         "infrared-snr": infrared_snr(capture, truth),
         **depth_figures(result, truth),
         "psnr": sharp["psnr"],
@@ -290,28 +288,6 @@ def depth_figures(result: Reconstruction, truth: Truth) -> dict[str, float]:
         "depth-median-m": float(np.median(np.abs(metres))),
         "depth-rmse-m": float(np.sqrt(np.mean(metres**2))),
     }
-
-
-def light_loss(camera: Camera) -> float:
-    """Share of the light that the mosaic loses to stops smaller than the lens, eq. (1).
-
-    Each pixel of the mosaic loses the light that the stops block in its own band, which is 650 nm and beyond for IR and
-    below 650 nm for the other channels. A hole of radius ratio alpha for one pixel of four loses (1 - alpha^2) / 4.
-    """
-    names = sensors.channels(camera.sensor)
-    opened = camera.model_copy(update={"stops": tuple(_opened(stop) for stop in camera.stops)})
-    infrared = spectra.WAVELENGTH_NM >= spectra.NEAR_INFRARED_NM[0]
-    band = np.stack([infrared if name == "IR" else ~infrared for name in names])
-    passed, whole = (spectra.integrate(radiometry.response(c) * band) for c in (camera, opened))
-    block = [names.index(name) for row in camera.sensor.mosaic for name in row]
-    return float(np.mean([1 - passed[pixel] / whole[pixel] for pixel in block]))
-
-
-def _opened(stop: stops.Stop) -> stops.Stop:
-    """The stop with the aperture of the whole lens."""
-    return stops.Disc(
-        name=stop.name, passes_nm=stop.passes_nm, edge_width_nm=stop.edge_width_nm, shape="disc", radius_ratio=1.0
-    )
 
 
 def infrared_snr(capture: Capture, truth: Truth) -> float:

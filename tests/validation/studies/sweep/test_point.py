@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from dasim.camera import geometry
+from dasim.camera import geometry, radiometry
 from dasim.camera import specification as cameras
 from dasim.values import Capture
 from tests.support import surfaces
@@ -17,7 +17,7 @@ from validation.claims.optics.resolution import half_pixel_m
 from validation.studies import criteria
 from validation.studies.sweep import designs
 from validation.studies.sweep.loading import load_study
-from validation.studies.sweep.point import FIGURES, depth_figures, light_loss, limits, median_error
+from validation.studies.sweep.point import FIGURES, depth_figures, limits, median_error
 from validation.studies.sweep.specification import units
 
 EDGES = 0.004  # of the light: coatings have edges of 8 nm, which eq. (1) has not
@@ -42,28 +42,12 @@ def test_every_design_of_a_study_is_calibrated_at_the_same_blurs(study):
     np.testing.assert_allclose(ladders[0], np.arange(29) / 0.54, rtol=1e-12)
 
 
-@pytest.mark.parametrize("alpha", [0.3, 0.46, 0.9])
-def test_light_loss_is_that_of_eq_1(da_mobile, alpha):
-    from dasim.camera.dotted_keys import with_values
-
-    loss = light_loss(with_values(da_mobile, {"stops.hole.radius_ratio": alpha}))
-    assert loss == pytest.approx((1 - alpha**2) / 4, abs=EDGES)
-
-
-def test_a_mosaic_with_fewer_infrared_pixels_loses_less():
-    """Expectation: a 4x4 mosaic with two infrared pixels of sixteen loses half as much as one with four."""
-    four = cameras.load_camera("da-4x4")
-    count = sum(name == "IR" for row in four.sensor.mosaic for name in row)
-    pixels = sum(len(row) for row in four.sensor.mosaic)
-    assert light_loss(four) == pytest.approx((1 - 0.46**2) * count / pixels, abs=EDGES)
-
-
 @pytest.mark.parametrize("mosaic", ["GR/BI", "RG/IB", "BI/GR", "IB/RG", "GB/RI", "GIGI/RGBG/GIGI/BGRG"])
 def test_mosaics_by_their_letters_have_a_quarter_of_infrared(da_mobile, mosaic):
     """Expectation: wherever it stands, and in the 4x4 block too, infrared loses (1 - alpha^2) / 4 of the light."""
     camera = designs.with_mosaic(da_mobile, mosaic)
     assert ["".join(name[0] for name in row) for row in camera.sensor.mosaic] == mosaic.split("/")
-    assert light_loss(camera) == pytest.approx((1 - 0.46**2) / 4, abs=EDGES)
+    assert radiometry.light_loss(camera) == pytest.approx((1 - 0.46**2) / 4, abs=EDGES)
 
 
 BOARD = {"distance_cm": 10.0}
