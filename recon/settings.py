@@ -28,7 +28,9 @@ class Settings(Specification):
         default="coefficients", description="eq. (7), or a full 4x4 crosstalk matrix"
     )
     crosstalk: tuple[Alpha, Alpha, Alpha] | None = Field(
-        default=None, description="measured alpha of eq. (8) for R, G, B; by default from the response curves"
+        default=None,
+        description="measured alpha of eq. (8) for R, G, B; by default from the response curves; with "
+        "infrared_removal = 'matrix' for depth alone",
     )
 
     # sec. 5.2
@@ -40,7 +42,7 @@ class Settings(Specification):
     gradient: Literal["sum", "both"] = Field(
         default="both", description="eq. (11): NCC of the sum of the two derivatives, or of both derivatives jointly"
     )
-    cutoff_cycles_px: float = Field(default=0.16, gt=0, le=0.25, description="upper limit of the frequency band")
+    cutoff_cycles_px: float = Field(default=0.16, ge=0.02, le=0.25, description="upper limit of the frequency band")
     score: Literal["ncc", "likelihood", "bands", "colour-line", "joint"] = Field(
         default="ncc",
         description="score of a level: eq. (11), likelihood, transfer in bands, Chakrabarti and Zickler's, or joint: "
@@ -73,7 +75,7 @@ class Settings(Specification):
     sharpen_consistency: bool = Field(
         default=True, description="what the captured picture says beyond the networks' is added; without it is faster"
     )
-    sharpen_steps: int = Field(default=3, ge=1, le=50, description="iterations of half-quadratic splitting")
+    sharpen_steps: int = Field(default=3, ge=1, le=40, description="iterations of half-quadratic splitting")
     sharpen_strength: float = Field(
         default=6.0, gt=0, le=100, description="weight of the data in eq. (15); 1 is that of the noise"
     )

@@ -45,6 +45,7 @@ def calibrate(
         progress: called with the name of the stage and the share of it that is done, 0..1.
     """
     groups, lights, levels = _grouped(pictures)
+    _check_sizes(groups, camera)
     centred: dict[Key, FloatArray] = {}
     for done, (key, group) in enumerate(groups.items()):
         if any(picture.shift_px is None for picture in group):
@@ -94,11 +95,24 @@ def _grouped(
     levels = sorted({level for _, level in groups})
     missing = [f"{light} level {level}" for light in lights for level in levels if (light, level) not in groups]
     known = range(min(levels[0], 0), len(levels) + min(levels[0], 0))
-    if missing or levels != list(known):
+    if missing or levels != list(known) or 0 not in levels:
         raise InputError(
             f"calibration: no pictures of {', '.join(missing) or 'lower levels'}; give all levels from 0 on"
         )
     return groups, lights, known
+
+
+def _check_sizes(groups: dict[Key, list[PointPicture]], camera: Camera) -> None:
+    """Raise InputError unless the pictures of a light and level have one size, of whole blocks of the mosaic."""
+    rows, columns = len(camera.sensor.mosaic), len(camera.sensor.mosaic[0])
+    for (light, level), group in groups.items():
+        sizes = {picture.frames_dn.shape[1:] for picture in group}
+        if len(sizes) > 1 or any(height % rows or width % columns for height, width in sizes):
+            shown = ", ".join(f"{width} x {height}" for height, width in sorted(sizes))
+            raise InputError(
+                f"calibration: pictures of {light} level {level} have {shown} pixels; all of a light and level need "
+                f"one size, a multiple of the {columns} x {rows} mosaic"
+            )
 
 
 def _interleaved_kernel(full: FloatArray, noise_e: FloatArray, *, on_axis: bool) -> FloatArray:

@@ -29,6 +29,7 @@ from recon.depth.grid import PLANE_SPACING_PX
 from recon.depth.joint_likelihood import log_likelihood
 
 WINDOWS = (Window(10.0, 4), Window(28.0, 8, even=True))
+SHARE_ROUNDING = 1e-6  # of shares of clipped samples
 NODE = 4  # samples of the planes between nodes
 FINEST, RELATIVE, LAST = 0.5, 1 / 8, 28.0  # spacing of levels: the larger of FINEST and RELATIVE * level
 SCORE_UNIT = 10.0  # score difference beyond which the compression is logarithmic
@@ -92,7 +93,7 @@ def evidence(
         guides: red and blue, for the picture alone.
         leak: infrared in the visible channel.
         clipped: samples that are clipped, [h, w].
-        most_clipped: share of clipped samples from which on a window is ignored.
+        most_clipped: largest share of clipped samples in a window that counts.
         bands: score of :mod:`recon.depth.bands`; None for the large windows alone, which is three times as fast. The
             inputs are then the scores alone.
     """
@@ -102,7 +103,7 @@ def evidence(
     last = len(infrared.kernels) - 1
     levels = level_grid(last)
     shares = [share_in_window(clipped, window.sigma_px) for window in WINDOWS]
-    unusable = [share >= most_clipped for share in shares]
+    unusable = [share > most_clipped + SHARE_ROUNDING for share in shares]
     found = _spectra(channels, leak, WINDOWS if bands else WINDOWS[1:])
     scores = _window_scores(channels, leak, found, unusable, nodes, levels)
     of_bands = np.zeros_like(scores[0]) if bands is None else resampled(bands(*nodes), np.arange(last + 1), levels, 2)

@@ -38,13 +38,12 @@ def best_level(
     """
     levels = len(score)
     peak = np.argmax(score, axis=0)
-    middle = np.clip(peak, 1, max(levels - 2, 1))
-    # Of two levels there is no parabola: the second counts as its own neighbour, and the level is not refined.
-    before, at, after = (np.take_along_axis(score, np.minimum(middle + d, levels - 1)[None], 0)[0] for d in (-1, 0, 1))
+    # The first and the last level have one neighbour, which counts on both sides.
+    neighbours = np.where(peak > 0, peak - 1, 1), peak, np.where(peak < levels - 1, peak + 1, levels - 2)
+    before, at, after = (np.take_along_axis(score, index[None], 0)[0] for index in neighbours)
     curvature = 2 * at - before - after
     shift = 0.5 * (after - before) / np.where(curvature > 0, curvature, 1)
-    inside = (peak == middle) & (curvature > 0) & (levels > 2)
-    vertex = np.where(inside, middle + np.clip(shift, -0.5, 0.5), peak)
+    vertex = peak + np.clip(shift, -0.5, 0.5)
     expected_vertex = np.maximum.accumulate(np.arange(levels) + offset)
     level = np.interp(vertex, expected_vertex, np.arange(levels)).astype(np.float32)
     if ncc is None:

@@ -17,7 +17,7 @@ from dasim.typing import BoolArray, Float32Array
 from dasim.values import Capture
 from recon.depth import best, scores, surface_net, tiles
 from recon.depth.channels import Also, Channel, Leak
-from recon.depth.evidence import NODE, Evidence, evidence
+from recon.depth.evidence import NODE, SHARE_ROUNDING, Evidence, evidence
 from recon.depth.grid import PLANE_SPACING_PX, window_mean
 from recon.depth.scores import window_of
 from recon.depth.side import probability_behind, signed
@@ -74,7 +74,7 @@ def raw_levels(frame: Frame, settings: Settings, tile_px: int | None = None) -> 
     level = np.full(clipped.shape, np.nan, np.float32)
     confidence = np.zeros_like(level)
     # Blocks in which no channel has had an edge yet.
-    unresolved = window_mean(clipped, window_of(settings)) < settings.saturated_share
+    unresolved = window_mean(clipped, window_of(settings)) <= settings.saturated_share + SHARE_ROUNDING
     for name in ["IR", *(fallbacks if settings.fallback else [])]:
         box = _around(unresolved, round(settings.window_px / PLANE_SPACING_PX) * 2)
         if box is None:

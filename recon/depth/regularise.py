@@ -30,11 +30,15 @@ def regularise(
 
     Args:
         level: raw levels, [h, w]; NaN without an estimate. A frame without any estimate gets level 0.
-        confidence: confidence of the raw levels, 0..1, [h, w].
+        confidence: confidence of the raw levels, 0..1, [h, w]. If it is 0 everywhere, all estimates have equal weights,
+            and the result has no confidence either.
         guide: infrared in units of its noise, [h, w].
         bandwidth: tau of eq. (14), noise variances.
     """
     known = np.isfinite(level)
+    if known.any() and not confidence[known].max() > 0:
+        even, _ = regularise(level, known.astype(np.float32), guide, bandwidth)
+        return even, np.zeros_like(level)
     weight = np.where(known, confidence, 0).astype(np.float32)
     value = np.where(known, level, 0).astype(np.float32) * weight
     if not weight.max() > 0:

@@ -46,7 +46,7 @@ def probability_behind(
         far: with those behind it, from the focus outwards.
         leaks: infrared in R, G and B.
         clipped: samples that are clipped, [h, w].
-        most: share of clipped samples from which on a window is ignored.
+        most: largest share of clipped samples in a window that counts.
     """
     planes, phases = [channel.plane for channel in near], [channel.phase for channel in near]
     variances, alpha = [channel.variance for channel in near], [leak.alpha for leak in leaks]
@@ -57,7 +57,7 @@ def probability_behind(
     for window, spectra in zip(WINDOWS, measured, strict=True):
         # All bands count in the fit: with four channels, those that tell the sides apart are the ones that fit badly.
         scores = [log_likelihood(spectra, table, reweighted=False).max(axis=-1) for table in tables]
-        usable = evidence.share_in_window(clipped, window.sigma_px)[np.ix_(*nodes)] < most
+        usable = evidence.share_in_window(clipped, window.sigma_px)[np.ix_(*nodes)] <= most + evidence.SHARE_ROUNDING
         found += np.float32(WEIGHT) * np.stack(scores, axis=-1) * usable[..., None]
     across, down = surfaces.step_probability(evidence.log_channels(near, GUIDE_BLUR)[:, rows[:, None], columns])
     joined = surfaces.posterior(found, np.array([0.0, APART]), across, down)

@@ -33,7 +33,7 @@ from numba import njit, prange
 
 from dasim.typing import Float32Array, FloatArray
 from recon.convolution import Net, convolved, gathered, linear, load, refined, relu, residual, spread
-from recon.depth.evidence import NODE, SCORES
+from recon.depth.evidence import NODE, SCORES, resampled
 from recon.depth.tiles import tiles
 
 FILES = "surface_net_0.npz", "surface_net_1.npz"  # by the seed of the training
@@ -137,10 +137,12 @@ def _mixed(network: Moments, smooth: Moments) -> Moments:
 
 def smooth_posterior(inputs: Float32Array, levels: FloatArray, last: float) -> Moments:
     """Posterior of each sample on smooth surfaces alone, as :func:`posterior` without the network."""
-    size = NODE * inputs.shape[1], NODE * inputs.shape[0]
     logits = inputs[..., (SCORES - 1) * len(levels) : SCORES * len(levels)].copy()
-    powers = cv2.resize(_powers(logits, levels, last), size, interpolation=cv2.INTER_LINEAR)
-    level, sd = _moments(np.asarray(powers, np.float32))
+    powers = _powers(logits, levels, last)
+    for axis in (0, 1):  # a window's centre is a sample, see cross_spectra.nodes
+        samples = np.arange(NODE * inputs.shape[axis])
+        powers = resampled(powers, samples[NODE // 2 :: NODE], samples, axis)
+    level, sd = _moments(powers)
     return Moments(level, SMOOTH_SD * sd)
 
 

@@ -101,22 +101,24 @@ def read_point_pictures(
 def write_point_pictures(folder: Path, pictures: Iterable[PointPicture], camera: Camera) -> int:
     """Write a calibration folder with one 16-bit PNG per frame and ``meta.json``; returns the number of frames."""
     rows: list[list[object]] = []
+    places: list[tuple[object, ...]] = []
     shifted = False
     with new_folder(folder, KIND) as new:
         (new / "pictures").mkdir()
         for picture in pictures:
             shifted = shifted or picture.shift_px is not None
-            position = picture.position if picture.shift_px is None else ""
-            shift = ("", "") if picture.shift_px is None else picture.shift_px[::-1]
             for frame in picture.frames_dn:
                 name = f"pictures/{picture.light}-{picture.level:02d}-{len(rows):05d}.png"
                 write_png16(new / name, frame)
-                cells = (picture.light, repr(picture.depth_m), repr(picture.exposure_s), f"{picture.gain:g}")
-                rows.append([name, *cells, *(shift if shifted else (position,))])
+                cells = (picture.light, repr(picture.depth_m), repr(picture.exposure_s), f"{float(picture.gain)!r}")
+                rows.append([name, *cells])
+                places.append((picture.position, *(picture.shift_px or ("", ""))[::-1]))
         last = SHIFTS if shifted else ("position",)
         with (new / TABLE).open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
-            writer.writerows([("file", "light", "depth_m", "exposure_s", "gain", *last), *rows])
+            writer.writerow(("file", "light", "depth_m", "exposure_s", "gain", *last))
+            of_place = slice(1, None) if shifted else slice(1)
+            writer.writerows([*row, *place[of_place]] for row, place in zip(rows, places, strict=True))
         meta = {"camera": camera.model_dump(mode="json"), "software": software_versions()}
         (new / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
     return len(rows)

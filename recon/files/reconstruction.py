@@ -53,8 +53,10 @@ def save_reconstruction(
     ``surface.ply`` or ``surface.glb``, all from the all-in-focus picture. Where no surface is known well enough, it is
     left out, and a note in ``meta.json`` says so.
 
-    Returns the notes of ``meta.json``: those of the result, and what was left out.
+    Returns the notes of ``meta.json``: those of the result, and what was left out. Raises InputError for an unknown
+    extra.
     """
+    check_extras(extras)
     parts = [_part("depth", {"Z": result.depth_m})]
     parts += [_part(name, {name: getattr(result, name)}) for name in _PLANES]
     parts += [_part(name, {c: getattr(result, name)[..., i] for i, c in enumerate(_RGB)}) for name in _COLOURS]

@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from dasim.base.errors import InputError
 from dasim.camera.radiometry import response
 from dasim.camera.rings import field_angle_deg, rings
 from dasim.camera.sensor import channels
@@ -50,6 +51,13 @@ def separation(camera: Camera, light: str, settings: Settings) -> Separation:
     rows = np.stack([infrared.separation(camera, light, settings, angle) for angle in angles])
     white = _white(camera, light, angles)
     visible = np.einsum("kij,kj->ki", rows, white)
+    if (visible <= 0).any():
+        channel = int(np.argmin(visible.min(axis=0)))
+        raise InputError(
+            f"infrared removal: the alpha of {'RGB'[channel]} leaves no visible light of white under {light}; it must "
+            f"be below {float((white[:, channel] / white[:, -1]).min()):.3g} (settings.crosstalk, or the camera's "
+            "response curves)"
+        )
     gain = white[0, -1] / white[:, -1] if "IR" in channels(camera.sensor) else np.ones(len(angles))
     return Separation(rows * (visible[:1] / visible)[..., None], gain, place)
 

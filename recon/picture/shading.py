@@ -76,7 +76,8 @@ def _inverse(electrons: Float32Array, where: NDArray, name: str) -> NDArray[np.f
     """
     height, width = electrons.shape
     block = max(LEAST_BLOCK_PX, -(-max(height, width) // SAMPLES))
-    rows, columns = (np.arange(0, n, block) for n in (height, width))
+    # The last block holds the rest, too, which may be too narrow for pixels of every channel.
+    rows, columns = (np.arange(0, max(n - block, 0) + 1, block) for n in (height, width))
     y, x = (2 * (np.arange(n) + 0.5) / n - 1 for n in (height, width))
 
     def total(image: NDArray) -> NDArray[np.float64]:

@@ -73,7 +73,7 @@ def all_in_focus(
     seen_e = stack.copy() if network else stack
     if network:
         noise_e = with_model_error(noise_e, stack, frame)
-    near = in_trained_levels(frame, float(bank.blur_px[1]))
+    near = in_trained_levels(frame, float(bank.blur_px[-1]) / (len(bank.blur_px) - 1))
     _soften_in_focus(stack, frame.linear_e, frame.ir_e, near.level)
     tile = tile_px or layers.TILE_PX
     if network:

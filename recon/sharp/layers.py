@@ -223,7 +223,7 @@ def cut(kernels: NDArray, energy: float = KERNEL_SHARE) -> NDArray:
     sum.
     """
     middle = reach = kernels.shape[-1] // 2
-    for reach in range(1, middle + 1):
+    for reach in range(min(1, middle), middle + 1):
         square = kernels[:, middle - reach : middle + reach + 1, middle - reach : middle + reach + 1]
         if square.sum(axis=(1, 2)).min() >= energy:
             break

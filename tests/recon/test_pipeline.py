@@ -188,6 +188,22 @@ def test_a_bank_of_another_kind_of_sensor_is_refused(scene):
             recon.reconstruct(scene.capture, other)
 
 
+@pytest.mark.parametrize("preset", ["paper", "fast"])
+def test_windows_without_saturated_pixels_count_at_any_limit(scene, preset):
+    """Expectation: frames without a saturated pixel have the same levels with a share of 0 allowed as by default."""
+    small = crop(scene.capture, 128, 96)
+    settings = [recon.PRESETS[preset].model_copy(update={"saturated_share": share}) for share in (0.0, 0.05)]
+    one, other = (recon.reconstruct(small, recon_scenes.bank(), of) for of in settings)
+    np.testing.assert_array_equal(one.level_raw, other.level_raw)
+    assert np.isfinite(one.level_raw).any()
+
+
+def test_an_alpha_that_leaves_no_visible_light_is_refused(scene):
+    settings = recon.PRESETS["fast"].model_copy(update={"crosstalk": (0.3, 0.3, 9.0)})
+    with pytest.raises(InputError, match="alpha of B leaves no visible light of white under D65; it must be below"):
+        recon.reconstruct(crop(scene.capture, 64, 64), recon_scenes.bank(), settings)
+
+
 def test_a_bank_of_another_light_gives_a_note(scene, result):
     """A picture under D65 is reconstructed with a bank of lamps only, and a note says so; a bank with both lights gives
     no note.

@@ -1,5 +1,6 @@
 """Calibration: kernels measured from noisy mosaic pictures, compared with the camera's own wave-optics kernels."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -11,6 +12,7 @@ from dasim.camera import pointspread
 from dasim.camera import specification as cameras
 from dasim.simulation import calibration
 from dasim.spectra.grid import CHANNELS
+from dasim.values import Capture
 from recon.picture import colour
 from tests.support import recon_scenes
 
@@ -130,3 +132,26 @@ def test_missing_pictures_are_named():
     pictures = [next(iter(calibration.calibration_captures(camera, ("D65",))))]
     with pytest.raises(InputError, match="one period of the mosaic"):
         recon.calibrate(pictures, camera)
+
+
+def test_levels_without_the_focus_are_named():
+    """Set-up: pictures of two levels behind the focus alone; of the focus alone a bank has kernels, but no depth."""
+    camera = recon_scenes.da_mobile(64, 48)
+    pictures = list(itertools.takewhile(lambda p: p.level == 0, calibration.calibration_captures(camera, ("D65",))))
+    behind = [dataclasses.replace(p, level=level) for level in (-2, -1) for p in pictures]
+    with pytest.raises(InputError, match="give all levels from 0 on"):
+        recon.calibrate(behind, camera)
+    bank = recon.calibrate(pictures, camera)
+    capture = Capture(np.full((48, 64), 400, np.uint16), camera, 0.01, 1.0, 0)
+    with pytest.raises(InputError, match="bank has one level alone"):
+        recon.reconstruct(capture, bank)
+
+
+def test_pictures_of_other_sizes_are_named():
+    camera = recon_scenes.da_mobile(64, 48)
+    pictures = list(itertools.takewhile(lambda p: p.level == 0, calibration.calibration_captures(camera, ("D65",))))
+    odd = [dataclasses.replace(p, frames_dn=p.frames_dn[:, :-1, :-1]) for p in pictures]
+    mixed = [dataclasses.replace(pictures[0], frames_dn=pictures[0].frames_dn[:, :-2, :-2]), *pictures[1:]]
+    for wrong in (odd, mixed):
+        with pytest.raises(InputError, match="need one size, a multiple of the 2 x 2 mosaic"):
+            recon.calibrate(wrong, camera)

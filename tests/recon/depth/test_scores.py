@@ -139,3 +139,11 @@ def test_regularisation_without_any_estimate():
     empty = np.full((32, 48), np.nan, np.float32)
     result, evidence = regularise(empty, np.zeros((32, 48), np.float32), np.zeros((32, 48), np.float32), 60.0)
     assert not result.any() and not evidence.any()
+
+
+def test_estimates_without_any_confidence_have_equal_weights():
+    """Set-up: a user's estimates whose standard deviation is unknown, that is infinite."""
+    level = np.full((32, 48), 7, np.float32)
+    result, evidence = regularise(level, np.zeros((32, 48), np.float32), np.zeros((32, 48), np.float32), 60.0)
+    np.testing.assert_allclose(result, 7, rtol=1e-6)
+    assert not evidence.any()

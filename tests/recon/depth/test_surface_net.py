@@ -60,6 +60,18 @@ def test_evidence_of_a_larger_level_gives_a_larger_level():
     assert (np.diff(found) > 0.5).all()
 
 
+def test_smooth_surfaces_have_the_level_of_a_window_at_its_centre():
+    """Set-up: windows on a ramp, each with the level of its centre, the sample in the middle of four."""
+    levels = np.linspace(4, 16, 13)
+    inputs = np.concatenate([inputs_at(level, (6, 1)) for level in levels], axis=1)
+    found = surface_net.smooth_posterior(inputs, LEVELS, 28).level
+    centres = np.arange(evidence.NODE // 2, found.shape[1], evidence.NODE)
+    alone = [surface_net.smooth_posterior(inputs_at(level, (1, 1)), LEVELS, 28).level[0, 0] for level in levels]
+    np.testing.assert_allclose(found[:, centres], np.broadcast_to(alone, (len(found), len(levels))), rtol=1e-5)
+    between = (found[:, centres[:-1]] + found[:, centres[1:]]) / 2
+    np.testing.assert_allclose(found[:, centres[:-1] + evidence.NODE // 2], between, rtol=1e-5)
+
+
 def test_levels_beyond_the_bank_get_no_probability():
     found = posterior(inputs_at(20.0), last=8)
     assert found.level.max() <= 8

@@ -269,6 +269,15 @@ def test_shading_is_undone(name):
             np.testing.assert_allclose(image[place].mean(axis=(0, 1)) / middle, corner, atol=tolerance)
 
 
+@pytest.mark.parametrize(("name", "width", "height"), [("da-mobile", 1088, 1004), ("da-4x4", 1100, 1100)])
+def test_the_rest_of_a_flat_is_of_its_last_block(name, width, height):
+    """Rationale: a rest of one row has no pixel of some channels."""
+    camera = cameras.cropped(cameras.load_camera(name), width, height)
+    raw = np.random.default_rng(0).integers(380, 386, (height, width)).astype(np.uint16)
+    gain = measured_gain(Capture(raw, camera, TIME_S, 1.0, 0), camera)
+    assert gain.min() >= 1 and gain.max() < 1.3  # but for the change of infrared over the field
+
+
 def test_flats_that_do_not_fit_are_refused():
     camera = small("da-mobile")
     even = np.ones(SIZE_PX[::-1])
