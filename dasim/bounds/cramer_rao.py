@@ -34,8 +34,9 @@ from dasim.spectra import illuminants
 from dasim.typing import FloatArray
 
 SLOPE_STEP_PX = 0.05  # of visible blur, to each side; the phase at 0.5 cycles/px changes by 0.16 rad
-RADIAL_STEP_PX = 0.2  # of optical profiles, which are band-limited to 1 / (lambda N) = 1.2 cycles/px
-RADIAL_FREQUENCIES = 160  # from 0 to the corner of the patch's band
+RADIAL_STEP_PX, STEPS_PER_RING = 0.2, 3.3  # of optical profiles: the smaller one, the second within lambda N at 400 nm
+RADIAL_FREQUENCIES = 160  # from 0 to the corner of the patch's band, at least
+FREQUENCIES_PER_PERIOD = 6  # of the transfer function of a blur
 TAIL_PX = 40.0  # extent of the diffraction rings beyond the geometric blur
 BLUR, STRENGTH = 0, 1  # indices of the parameters; the gains follow
 
@@ -134,17 +135,23 @@ def round_transfers(
         shape: [h, w] of the patch.
         spacing_px: distance of the samples.
     """
-    radius = np.arange(RADIAL_STEP_PX / 2, np.abs(blur_px).max() / 2 + TAIL_PX, RADIAL_STEP_PX)
+    step = min(RADIAL_STEP_PX, pointspread.finest_ring_px(camera) / STEPS_PER_RING)
+    radius = np.arange(step / 2, np.abs(blur_px).max() / 2 + TAIL_PX, step)
     profiles, _ = pointspread.radial_profiles(camera, blur_px, spectrum, radius)
-    ring = profiles * (2 * np.pi * radius * RADIAL_STEP_PX)
+    ring = profiles * (2 * np.pi * radius * step)
     whole = ring.sum(axis=-1, keepdims=True)
     ring = np.divide(ring, whole, out=np.zeros_like(ring), where=whole > 0)
     frequency = _radius(shape, spacing_px)
-    nodes = np.linspace(0, float(frequency.max()), RADIAL_FREQUENCIES)
+    nodes = radial_frequencies(float(frequency.max()), float(np.abs(blur_px).max()))
     radial = ring @ j0(2 * np.pi * np.outer(radius, nodes))
     fy, fx = frequencies(shape, spacing_px)
     full = CubicSpline(nodes, radial, axis=-1)(frequency.ravel()).reshape(*radial.shape[:-1], *frequency.shape)
     return np.asarray(full * (np.sinc(fy) * np.sinc(fx)))
+
+
+def radial_frequencies(last: float, blur_px: float, least: int = RADIAL_FREQUENCIES) -> FloatArray:
+    """Evenly spaced frequencies from 0 to the ``last``, cycles per pixel, that resolve the transfer of a blur."""
+    return np.linspace(0, last, max(least, int(np.ceil(FREQUENCIES_PER_PERIOD * blur_px * last))))
 
 
 # --- bounds --------------------------------------------------------------------------------------

@@ -38,8 +38,9 @@ FINE_CELLS = 96  # fewest cells across the lens; averaging onto these does not b
 RING_CELLS = 256  # across the lens for stops other than masks, whose edges cover cells in part
 _SUBCELLS = 8  # sampling points along each side of such a cell
 _TAIL = 0.01  # share of the light at either end of the spectrum that joins the adjacent band
-_NODES = 32  # Gauss-Legendre nodes of Hopkins's integral; the error is 1e-6 at 10 waves of defocus
-_RADIAL_FREQUENCIES = 96  # from 0 to the corner of the patch's band
+# Gauss-Legendre nodes of Hopkins's integral, at least, and per wave of defocus: the error is 1e-6 at 10 waves
+_NODES, _NODES_PER_WAVE = 32, 4
+_RADIAL_FREQUENCIES = 96  # from 0 to the corner of the patch's band, at least
 
 
 @dataclass(frozen=True)
@@ -120,8 +121,12 @@ def _bands(camera: Camera, stop: Stop, light: str) -> tuple[list[_Band], FloatAr
     total = spectra.integrate(weights)
     f_number, pitch_m = pointspread.working_f_number(camera, 1.0), camera.sensor.pixel_pitch_um * 1e-6
     parts = spectra.bands(weights)
-    cumulative = np.cumsum([weight.max() for _, weight in parts])
-    core = [nm for (nm, _), share in zip(parts, cumulative / cumulative[-1], strict=True) if _TAIL < share < 1 - _TAIL]
+    if not parts:
+        raise InputError(f"camera '{camera.name}': no light of {light} passes stop '{stop.name}' to the sensor")
+    size = np.array([weight.max() for _, weight in parts])
+    cumulative = np.cumsum(size) / size.sum()
+    core = [nm for (nm, _), share in zip(parts, cumulative, strict=True) if _TAIL < share < 1 - _TAIL]
+    core = core or [parts[int(size.argmax())][0]]
     groups: dict[int, list[tuple[float, FloatArray]]] = {}
     for nm, weight in parts:  # the tails join the adjacent band
         groups.setdefault(int((np.clip(nm, core[0], core[-1]) - core[0]) // BAND_NM), []).append((nm, weight))
@@ -273,16 +278,16 @@ def disc_transfers(
     bands, electrons = _bands(camera, stop, light)
     fy, fx = cramer_rao.frequencies(shape, spacing_px)
     frequency = np.hypot(fy, fx)
-    nodes = np.linspace(0, float(frequency.max()), _RADIAL_FREQUENCIES)
-    t, node_weight = _nodes()
+    nodes = cramer_rao.radial_frequencies(float(frequency.max()), float(np.abs(blur_px).max()), _RADIAL_FREQUENCIES)
     blurs = blur_px + np.array([[band.colour_px] for band in bands])  # [band, blur]
     radial = np.empty((*blurs.shape, len(nodes)))
     for number, band in enumerate(bands):
         scale_px = band.scale_px / stop.radius_ratio
+        waves = stop.radius_ratio * blurs[number] / (8 * scale_px)
+        t, node_weight = _nodes(max(_NODES, 16 * int(np.ceil(_NODES_PER_WAVE * np.abs(waves).max() / 16))))
         v = np.minimum(nodes * scale_px, 1.0)[:, None]
         x = (1 - v) * (1 - t**2)
         kernel = np.sqrt(np.maximum(1 - (x + v) ** 2, 0.0)) * (8 / np.pi * t * node_weight * (1 - v))
-        waves = stop.radius_ratio * blurs[number] / (8 * scale_px)
         radial[number] = (np.cos(8 * np.pi * waves[:, None, None] * (v * x)) * kernel).sum(axis=-1)
     full: NDArray = CubicSpline(nodes, radial, axis=-1)(frequency.ravel()).reshape(*blurs.shape, *frequency.shape)
     if not stops.is_plain_disc(stop):
@@ -293,9 +298,9 @@ def disc_transfers(
 
 
 @cache
-def _nodes() -> tuple[FloatArray, FloatArray]:
+def _nodes(count: int) -> tuple[FloatArray, FloatArray]:
     """Nodes and weights of Gauss-Legendre quadrature on 0..1."""
-    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    nodes, weights = np.polynomial.legendre.leggauss(count)
     return (nodes + 1) / 2, weights / 2
 
 

@@ -44,7 +44,7 @@ def describe(camera: Camera | str | Path) -> str:
         f"         {curves}, cut at {sensor.cutoff_nm:g} nm; full well {sensor.full_well_e:g} e-, "
         f"read noise {sensor.read_noise_e:g} e-, {sensor.adc_bits} bits",
     ]
-    if set(CHANNELS) <= set(sensors.channels(sensor)):
+    if set(CHANNELS) <= set(sensors.channels(sensor)) and np.isfinite(cameras.crosstalk(camera)).all():
         lines.append(f"eq. (8)  near-infrared in {_crosstalk(camera, 0.0)}, equal photons")
         if np.isfinite(rings.spacing_of(camera)):
             corner_deg = float(np.degrees(np.arcsin(np.sqrt(rings.square_of_sine(camera).max()))))

@@ -42,13 +42,28 @@ AXIS: Field = (0.0, 0.0)
 DIFFRACTION_MODELS: tuple[str, ...] = get_args(Diffraction)
 
 RADIAL_STEP_PX = 0.05
-PIXEL_NODES = 5  # Gauss-Legendre nodes per pixel and axis off the axis and with aberrations
+PIXEL_NODES = 5  # Gauss-Legendre nodes per pixel and axis off the axis and with aberrations, at least
+# Within lambda N at 400 nm, where that is small in pixels: nodes, samples of the integral over the pixel, radial steps.
+NODES_PER_RING, SAMPLES_PER_RING, STEPS_PER_RING = 3.2, 4.0, 12.0
+MOST_SAMPLES, MOST_RADII = 2400, 5000  # along a kernel's side and its radius, which bounds time and memory
+MOST_WAVES = stops.PUPIL_CELLS / 8  # of defocus: a phase of pi between neighbouring cells of a pupil at its rim
 LARGEST_FIELD_DEG = 60.0  # beyond, the foreshortened pupil has less than 32 cells of its grid across
 
 
 def working_f_number(camera: Camera, radius_ratio: float) -> float:
     """N = s / A of a stop, with A its diameter."""
     return geometry.image_distance_m(camera) / (radius_ratio * geometry.aperture_m(camera))
+
+
+def finest_ring_px(camera: Camera) -> float:
+    """Lambda N of the open lens at the shortest wavelength, in pixels: no kernel has finer structure."""
+    return float(grid.WAVELENGTH_NM[0]) * 1e-3 * working_f_number(camera, 1.0) / camera.sensor.pixel_pitch_um
+
+
+def _samples(camera: Camera, size: int) -> int:
+    """Samples per pixel and axis of the integral of a radial profile over the pixels of a kernel."""
+    wanted = int(np.ceil(SAMPLES_PER_RING / finest_ring_px(camera)))
+    return max(SUBPIXELS, min(wanted, MOST_SAMPLES // size))
 
 
 def check_model(diffraction: str) -> None:
@@ -130,13 +145,14 @@ def _pattern_kernel(
     fine, share = (np.arange(size * SUBPIXELS) + 0.5) / SUBPIXELS - size / 2, np.full(SUBPIXELS, 1 / SUBPIXELS)
     few = oblique is not None or not wavefront.is_flat(front)
     if few:  # all stops are transformed in these cases: Gauss-Legendre quadrature needs fewer nodes
-        nodes, share = radial_pattern.unit_nodes(PIXEL_NODES)
+        count = max(PIXEL_NODES, int(np.ceil(NODES_PER_RING / finest_ring_px(camera))))
+        nodes, share = radial_pattern.unit_nodes(count)
         fine = (np.arange(size)[:, None] + nodes).ravel() - size / 2
     total = np.zeros((*weights.shape[:-1], size, size))
     for wavelength_nm, weight in grid.bands(weights):
         blur = blur_px + float(np.interp(wavelength_nm, grid.WAVELENGTH_NM, colour_px))
-        if diffraction == "wave":
-            scale = wavelength_nm * 1e-3 * f_number / camera.sensor.pixel_pitch_um
+        scale = wavelength_nm * 1e-3 * f_number / camera.sensor.pixel_pitch_um
+        if diffraction == "wave" and abs(blur) / (8 * scale) <= MOST_WAVES:
             y, x = ((fine - at) / scale for at in offset_px)
             phase = wavefront.at(front, wavelength_nm, grid.BAND_NM)
             density = pupil_pattern(stop, blur / (8 * scale), y, x, phase, oblique, turn_rad) / scale**2
@@ -150,12 +166,34 @@ def _pattern_kernel(
             moved = wavefront.displacement_px(errors_nm, f_number, camera.sensor.pixel_pitch_um, *along)
             moved = turned(*moved, -turn_rad)
             rows, columns = (at - rho * blur / 2 + by for at, rho, by in zip(offset_px, pupil, moved, strict=True))
-            edges = np.arange(size + 1) - size / 2
-            drawn = np.histogram2d(rows.ravel(), columns.ravel(), bins=[edges, edges], weights=transmitted.ravel())
-            kernel = drawn[0]
-            kernel /= transmitted.sum()
+            side = abs(blur) * (place[1] - place[0]) / 2
+            kernel = _deposited(rows + size / 2, columns + size / 2, transmitted / transmitted.sum(), side, size)
         total += weight[..., None, None] * kernel
     return total, grid.integrate(weights)
+
+
+def _deposited(rows: FloatArray, columns: FloatArray, light: FloatArray, side: float, size: int) -> FloatArray:
+    """Light of squares of a ``side`` about places in pixels from a frame's corner, over its pixels, [size, size].
+
+    Squares and not points, which would beat with the pixels.
+    """
+    parts = max(1, int(np.ceil(side)))  # a part covers two pixels of a row at most
+    width = max(side / parts, 1e-6)
+    offsets = (np.arange(parts) + 0.5) * width - side / 2
+    total = np.zeros((size + 2) ** 2)  # with a rim that collects what lies outside
+    for down in offsets:
+        for across in offsets:
+            first, share = [], []
+            for place in (rows + down, columns + across):
+                low = np.floor(place - width / 2)
+                first.append(np.clip(low, -1, size).astype(int) + 1)
+                share.append(np.clip((place + width / 2 - (low + 1)) / width, 0, 1))
+            for step_y in (0, 1):
+                for step_x in (0, 1):
+                    y, x = np.minimum(first[0] + step_y, size + 1), np.minimum(first[1] + step_x, size + 1)
+                    part = (share[0] if step_y else 1 - share[0]) * (share[1] if step_x else 1 - share[1])
+                    total += np.bincount((y * (size + 2) + x).ravel(), (part * light).ravel(), len(total))
+    return total.reshape(size + 2, size + 2)[1:-1, 1:-1] / parts**2
 
 
 def kernels(
@@ -192,7 +230,8 @@ def kernels(
             about.setdefault((ring.centre, *_veil(camera, stop)), []).append(stop)
     largest = float(np.abs(blurs).max() + np.abs(geometry.chromatic_blur_px(camera)).max())
     farthest = max((float(np.hypot(*centre)) for centre, *_ in about), default=0.0) * largest / 2
-    radius = np.arange(0, size * 0.75 + 2 + farthest, RADIAL_STEP_PX)
+    samples, end = _samples(camera, size), size * 0.75 + 2 + farthest
+    radius = np.arange(0, end, min(RADIAL_STEP_PX, max(finest_ring_px(camera) / STEPS_PER_RING, end / MOST_RADII)))
     groups = [
         (
             np.array(centre[::-1]),
@@ -210,7 +249,7 @@ def kernels(
         for centre, veil, colour_px, profiles, electrons in groups:
             y, x = np.array(offset_px) - centre * (blurs[index] + colour_px) / 2
             shares = electrons[light]
-            part = pixel_kernels(profiles[..., index, :, :][light], radius, size, (float(y), float(x)))
+            part = pixel_kernels(profiles[..., index, :, :][light], radius, size, (float(y), float(x)), samples)
             part = _veiled(part, np.ones_like(shares), veil, offset_px)
             total, signal = total + part * shares[..., None, None], signal + shares
         for stop in others:
@@ -291,19 +330,24 @@ def _moved_alike(camera: Camera, centre: stops.Point, spectrum: FloatArray) -> I
 
 
 def pixel_kernels(
-    profiles: FloatArray, radius_px: FloatArray, size: int, offset_px: tuple[float, float] = (0.0, 0.0)
+    profiles: FloatArray,
+    radius_px: FloatArray,
+    size: int,
+    offset_px: tuple[float, float] = (0.0, 0.0),
+    samples: int = SUBPIXELS,
 ) -> FloatArray:
     """Integrate radial profiles [..., radius] over the pixels of a ``size`` x ``size`` frame (odd).
 
-    The point's image lies at ``offset_px`` (y, x) from the centre of the middle pixel.
+    The point's image lies at ``offset_px`` (y, x) from the centre of the middle pixel. Each pixel has ``samples`` x
+    ``samples`` samples.
     """
-    fine = (np.arange(size * SUBPIXELS) + 0.5) / SUBPIXELS - size / 2
+    fine = (np.arange(size * samples) + 0.5) / samples - size / 2
     distance = np.hypot(fine[:, None] - offset_px[0], fine[None, :] - offset_px[1]).ravel()
     flat = profiles.reshape(-1, profiles.shape[-1])
     kernels = np.empty((len(flat), size, size))
     for row, profile in enumerate(flat):
         value = np.interp(distance, radius_px, profile, right=0.0)
-        kernels[row] = value.reshape(size, SUBPIXELS, size, SUBPIXELS).mean(axis=(1, 3))
+        kernels[row] = value.reshape(size, samples, size, samples).mean(axis=(1, 3))
     return kernels.reshape(*profiles.shape[:-1], size, size)
 
 

@@ -16,7 +16,9 @@ from dasim.camera.wavefront import Phase
 from dasim.typing import FloatArray
 
 SUBPIXELS = 10  # per pixel and axis, for the integral over the pixel
-PUPIL_NODES = 400  # Gauss-Legendre nodes over the pupil's radius: enough for 100 rings and 20 waves
+PUPIL_NODES = 400  # Gauss-Legendre nodes over the pupil's radius, at least: enough for 100 rings and 20 waves
+# The integrand has W20 periods of defocus, and R / 2 rings at a radius of R lambda N.
+NODES_PER_WAVE, NODES_PER_RADIUS, SPARE_NODES, MOST_NODES = 6, 1.7, 60, 4000
 AIRY_NODES = 800  # more, for mixtures of transfer functions with different cut-off frequencies
 MIN_DISC_PX = 0.3  # a geometric disc smaller than this has no effect on a pixel's integral
 
@@ -33,7 +35,7 @@ def wave_profile(
     """
     if phase is not None:
         return _aberrated_profile(radius, waves, inner, phase, outer)
-    rho, weight = unit_nodes(PUPIL_NODES)
+    rho, weight = _pupil_nodes(radius, waves)
     rho, weight = inner + (1 - inner) * rho, (1 - inner) * weight
     pupil = np.exp(2j * np.pi * np.outer(waves, rho**2)) * (2 * rho * weight)
     bessel = j0(np.pi * np.outer(rho, radius))
@@ -44,20 +46,26 @@ def wave_profile(
 def _aberrated_profile(radius: FloatArray, waves: FloatArray, inner: float, phase: Phase, outer: float) -> FloatArray:
     """The same with a phase: amplitudes from inside and outside the opening, each by its own nodes."""
     opening = None if phase.opening is None else stops.ring(phase.opening)
-    low, high = (0.0, 0.0) if opening is None else np.clip(np.array(opening[:2]) / outer, inner, 1.0)
+    low, high = (inner, inner) if opening is None else np.clip(np.array(opening[:2]) / outer, inner, 1.0)
     parts = []
     for spans in (((inner, low), (high, 1.0)), ((low, high),)):
         amplitude = np.zeros((len(waves), len(radius)), dtype=complex)
         for start, end in spans:
             if end <= start:
                 continue
-            rho, weight = unit_nodes(PUPIL_NODES)
+            rho, weight = _pupil_nodes(radius, waves)
             rho, weight = start + (end - start) * rho, (end - start) * weight
             pupil = np.exp(2j * np.pi * np.outer(waves, rho**2)) * (2 * rho * weight)
             pupil = pupil * wavefront.factor(phase, 0.0, outer * rho)
             amplitude += pupil @ j0(np.pi * np.outer(rho, radius))
         parts.append(amplitude)
     return np.pi / 4 * wavefront.two_parts(phase, *parts) / (1 - inner**2)
+
+
+def _pupil_nodes(radius: FloatArray, waves: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Nodes and weights over the pupil's radius, as many as the fastest integrand needs."""
+    most = NODES_PER_WAVE * np.abs(waves).max(initial=0) + NODES_PER_RADIUS * radius.max(initial=0) + SPARE_NODES
+    return unit_nodes(int(np.clip(100 * np.ceil(most / 100), PUPIL_NODES, MOST_NODES)))
 
 
 def airy_profile(radius_px: FloatArray, blur_px: FloatArray, scale_px: float, inner: float = 0.0) -> FloatArray:

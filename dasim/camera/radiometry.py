@@ -45,7 +45,8 @@ def light_loss(camera: Camera) -> float:
     """Share of the light that the mosaic loses to stops smaller than the lens, eq. (1) of the paper.
 
     Each pixel of the mosaic loses the light that the stops block in its own band, which is 650 nm and beyond for IR and
-    below 650 nm for the other channels. A hole of radius ratio alpha for one pixel of four loses (1 - alpha^2) / 4.
+    below 650 nm for the other channels; one without light in its band loses nothing. A hole of radius ratio alpha for
+    one pixel of four loses (1 - alpha^2) / 4.
     """
     names = channels(camera.sensor)
     opened = camera.model_copy(update={"stops": tuple(_opened(stop) for stop in camera.stops)})
@@ -53,7 +54,7 @@ def light_loss(camera: Camera) -> float:
     band = np.stack([infrared if name == "IR" else ~infrared for name in names])
     passed, whole = (grid.integrate(response(c) * band) for c in (camera, opened))
     block = [names.index(name) for row in camera.sensor.mosaic for name in row]
-    return float(np.mean([1 - passed[pixel] / whole[pixel] for pixel in block]))
+    return float(np.mean([1 - passed[pixel] / whole[pixel] if whole[pixel] > 0 else 0.0 for pixel in block]))
 
 
 def _opened(stop: stops.Stop) -> stops.Stop:

@@ -153,9 +153,11 @@ def ir_crosstalk(response: FloatArray, band_nm: tuple[float, float] = NEAR_INFRA
     """Near-infrared crosstalk of R, G and B relative to IR, [3], eq. (8): ratios of areas over 650-810 nm.
 
     ``response`` is [4, wavelength] in electrons per photon (f_i of the paper), so that the areas are the signals of
-    light with the same photon flux at each wavelength.
+    light with the same photon flux at each wavelength. NaN for infrared pixels that record none of the band.
     """
     low, high = band_nm
     nm = np.concatenate([[low], WAVELENGTH_NM[(WAVELENGTH_NM > low) & (WAVELENGTH_NM < high)], [high]])
     areas = [np.trapezoid(np.interp(nm, WAVELENGTH_NM, row), nm) for row in response]
+    if not areas[3] > 0:
+        return np.full(3, np.nan)
     return np.array(areas[:3]) / areas[3]

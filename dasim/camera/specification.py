@@ -178,8 +178,9 @@ def _check_window(camera: Camera, size_px: tuple[int, int], at_px: tuple[int, in
     sensor = camera.sensor
     cell = len(sensor.mosaic[0]), len(sensor.mosaic)
     full = sensor.width_px, sensor.height_px
-    if any(not isinstance(value, (int, np.integer)) for value in at_px):
-        raise InputError(f"at_px: two whole numbers of pixels are needed, not {at_px}")
+    pair = isinstance(at_px, (tuple, list, np.ndarray)) and len(at_px) == 2
+    if not pair or any(not isinstance(value, (int, np.integer)) for value in at_px):
+        raise InputError(f"at_px: two whole numbers of pixels are needed, not {at_px!r}")
     if any(
         not 0 <= at <= whole - part or at % step
         for at, whole, part, step in zip(at_px, full, size_px, cell, strict=True)

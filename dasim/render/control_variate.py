@@ -46,6 +46,9 @@ GRIDS, GRID_MARGIN = (2, 4), 0.5
 LEVEL_STEP_PX, LEVEL_SHARE = 0.5, 0.04  # spacing of blur levels: the larger of a length and a fraction of the blur
 TAIL_RINGS = 16.0  # K ends this many lambda N beyond the geometric blur
 RADIUS_STEP = 0.1  # step of the table of K, relative to the spacing of the grid points
+# Visible blur of the farthest level; kernels of more would take gigabytes, and F need not be exact for a mean without
+# bias.
+MOST_BLUR_PX = 150.0
 STRIP_PX = 256  # rows that are blurred at once, which bounds the memory
 
 
@@ -155,7 +158,7 @@ def control(
     import drjit as dr
     import mitsuba as mi
 
-    number, level = np.unique(_level(blur_px), return_inverse=True)
+    number, level = np.unique(_level(np.clip(blur_px, -MOST_BLUR_PX, MOST_BLUR_PX)), return_inverse=True)
     levels = _blur_of(number)
     reach = outer * np.abs(levels) / 2 + tail_px
     step_px = RADIUS_STEP / points

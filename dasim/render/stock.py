@@ -89,7 +89,7 @@ def _render(
         curves = responses.of_pass[first : last + 1]
         peaks = curves.max(axis=-1)
         for number, (row, peak) in enumerate(zip(curves.reshape(-1, curves.shape[-1]), peaks.ravel(), strict=True)):
-            film[f"c{number:04d}"] = spectrum_dict(row / peak if peak > 0 else row)
+            film[f"c{number:04d}"] = spectrum_dict(row / peak if peak > 0 else np.ones_like(row))  # times 0
         sensor = mi.load_dict(
             {
                 "type": "thinlens",

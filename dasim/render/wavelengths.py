@@ -100,9 +100,9 @@ def at_bands(means: NDArray[np.float32]) -> None:
 
 
 def _cumulative(density: FloatArray) -> FloatArray:
-    """Probability of a shorter wavelength than each of the grid."""
+    """Probability of a shorter wavelength than each of the grid; zeros for no light at all."""
     inside = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2)])
-    return np.asarray(inside / inside[-1])
+    return np.asarray(inside / inside[-1] if inside[-1] > 0 else inside)
 
 
 def draw_density(whole: FloatArray, response: FloatArray, light: FloatArray | None = None) -> FloatArray:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.base.errors import InputError
 from dasim.base.fingerprint import fingerprint
 from dasim.camera import geometry, pointspread
 from dasim.camera import noise as sensor_noise
@@ -75,6 +76,14 @@ def calibration_captures(
         field_px: (x, y) of the source's image from the optical axis; by default the centre of the camera's frame
     """
     camera = as_camera(camera)
+    if isinstance(lights, str) or not lights:
+        raise InputError(f"lights: a list of one illuminant or more is needed, such as ('D65',), not {lights!r}")
+    for light in lights:
+        illuminants.illuminant(light)
+    if not isinstance(frames, (int, np.integer)) or frames < 1:
+        raise InputError(f"frames is {frames!r}; a whole number from 1 is needed")
+    if not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise InputError(f"seed is {seed!r}; 0 or a positive whole number is needed")
     field_px = geometry.frame_field_px(camera) if field_px is None else pointspread.pair("field_px", field_px)
     levels_count = len(levels(camera)[0]) + len(levels_behind(camera)[0]) - 1
     positions = len(camera.sensor.mosaic) * len(camera.sensor.mosaic[0])

@@ -39,6 +39,9 @@ def check_options(
         raise InputError(f"spp is {spp!r}; a whole number or 'auto' is needed")
     if whole and not 1 <= int(cast(int, spp)) <= MOST_SPP:
         raise InputError(f"spp is {spp}; 1 to {MOST_SPP} samples per pixel are allowed")
+    for name, value in (("noise_share", noise_share), ("noise_at", noise_at)):
+        if not isinstance(value, (int, float, np.number)):
+            raise InputError(f"{name}: a number is needed, not {kind_of(value)}")
     if not 0.01 <= noise_share <= 10:
         raise InputError(f"noise_share is {noise_share:g}; 0.01 to 10 of the sensor's own noise is allowed")
     if not PERCENTILE[0] <= noise_at <= PERCENTILE[1]:

@@ -133,8 +133,8 @@ def expose_series(
     for name, number in (("lux", lux), ("scale", scale)):
         if number is not None and not isinstance(number, (int, float, np.number)):
             raise InputError(f"{name}: a number is needed, not {kind_of(number)}")
-    if frames < 1:
-        raise InputError(f"frames is {frames}; 1 or more is needed")
+    if not isinstance(frames, (int, np.integer)) or frames < 1:
+        raise InputError(f"frames is {frames!r}; a whole number from 1 is needed")
     shot.truth.require("mean_e")
     with _own_provenance(where):
         light = _relit(sensor_light_of(shot, where), lux, scale, where)

@@ -86,7 +86,6 @@ def planckian(temperature_k: float) -> FloatArray:
     return law(WAVELENGTH_NM) / law(560.0)
 
 
-@cache
 def illuminant(name: str) -> FloatArray:
     """Spectral irradiance of an illuminant at 1 lux, [wavelength], W m^-2 nm^-1; the array is read-only.
 
@@ -94,6 +93,11 @@ def illuminant(name: str) -> FloatArray:
     """
     if not isinstance(name, str):
         raise InputError(f"illuminant: a name such as 'D65' is needed, not {kind_of(name)}")
+    return _illuminant(name)
+
+
+@cache
+def _illuminant(name: str) -> FloatArray:
     curve = _one_lux(_relative(name))
     curve.setflags(write=False)
     return curve

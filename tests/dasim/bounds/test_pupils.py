@@ -111,3 +111,22 @@ def test_wavefronts_are_refused(camera: dasim.Camera, part: str, change: dict) -
     aberrated = dasim.Camera.model_validate(data)
     with pytest.raises(InputError, match="neither wavefront_nm nor phase_nm"):
         pupils.camera_transfers(aberrated, BLURS, "D65", SHAPE)
+
+
+def test_many_waves_of_defocus_and_narrow_bands(camera: dasim.Camera) -> None:
+    """Set-up: 60 px of blur at f/1.4 and 5 um, 60 waves; a stop that passes 8 nm; a stop that passes nothing.
+
+    Expectation: Hopkins's integral and the radial kernels agree to 0.001; the narrow stop has its own light alone.
+    """
+    lens, wide = {"lens.focal_length_mm": 25.0, "lens.f_number": 1.4}, {"sensor.pixel_pitch_um": 5.0}
+    fast = dasim.with_values(camera, lens | wide | {"lens.focus_distance_m": 2.0})
+    by_pupil, _ = pupils.camera_transfers(fast, [60.0], "D65", (16, 16))
+    by_kernel, _ = cramer_rao.camera_transfers(fast, np.array([60.0]), "D65", (16, 16))
+    np.testing.assert_allclose(by_pupil, by_kernel, atol=1e-3)
+    band = dasim.with_values(camera, {"stops.hole.passes_nm.0.0": 701.0, "stops.hole.passes_nm.0.1": 709.0})
+    hole = band.stops[1].model_copy(update={"edge_width_nm": 0.1})
+    narrow, _ = pupils.camera_transfers(band.model_copy(update={"stops": (hole,)}), [5.0], "D65", (16, 16))
+    assert np.isfinite(narrow).all()
+    dark = dasim.with_values(camera, {"sensor.cutoff_nm": 600.0, "sensor.cutoff_width_nm": 0.1})
+    with pytest.raises(InputError, match="no light of D65 passes stop 'hole'"):
+        pupils.camera_transfers(dark.model_copy(update={"stops": (hole,)}), [5.0], "D65", (16, 16))
