@@ -111,11 +111,15 @@ class Truth:
                 self.require(name)
             raise AttributeError(name)
 
-    def scaled(self, factor: float) -> Truth:
-        """The truth of the same view with ``factor`` times the electrons: another exposure time, or light level."""
+    def scaled(self, factor: float, rounded: Callable[[NDArray[np.float64]], Float32Array] | None = None) -> Truth:
+        """The truth of the same view with ``factor`` times the electrons: another exposure time, or light level.
+
+        The parts that it has are scaled, and ``rounded``, by default to single precision.
+        """
+        rounded = rounded or (lambda image: image.astype(np.float32))
         powers = {"mean_e": 1, "sharp_e": 1, "focus_e": 1, "mean_e_variance": 2}
         scaled: dict[str, Any] = {
-            name: (getattr(self, name) * np.float64(factor) ** power).astype(np.float32)
+            name: rounded(getattr(self, name) * np.float64(factor) ** power)
             for name, power in powers.items()
             if self.has(name)
         }

@@ -223,18 +223,8 @@ def sensor_light_of(shot: Shot, where: str) -> SensorLight:
 
 
 def times(truth: Truth, factor: float) -> Truth:
-    """The truth with ``factor`` times the electrons, rounded to ``SIGNIFICANT_BITS``."""
-
-    def part(image: Float32Array | None, by: float) -> Any:
-        return None if image is None else to_precision(image * np.float64(by))
-
-    return replace(
-        truth,
-        mean_e=part(truth.mean_e, factor),
-        mean_e_variance=part(truth.mean_e_variance, factor**2),
-        sharp_e=part(truth.sharp_e, factor),
-        focus_e=part(truth.focus_e, factor),
-    )
+    """The truth with ``factor`` times the electrons, in the parts that it has, rounded to ``SIGNIFICANT_BITS``."""
+    return truth.scaled(factor, to_precision)
 
 
 @contextmanager

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from validation.dataset_scores.figures import best_constant
 from validation.methods import estimated, reconstructed
 from validation.scores.depth import check_size
 from validation.scores.depth_files import read_depth
+from validation.scores.margin import central
 
 
 def depth_map(one: Entrant, capture: Capture, truth: Truth, sample: str, bank: Path | None) -> FloatArray:
@@ -68,9 +68,3 @@ def _of_size(depth_m: FloatArray, capture: Capture, truth: Truth, where: str) ->
         return central(depth_m, truth.depth_m.shape)
     check_size(depth_m, truth, where)
     return depth_m
-
-
-def central(image: Any, shape: tuple[int, ...]) -> Any:
-    """The central part of an image; a truth may lack a margin of the frame."""
-    top, left = ((have - want) // 2 for have, want in zip(image.shape, shape, strict=True))
-    return image[top : top + shape[0], left : left + shape[1]]

@@ -24,9 +24,10 @@ from dasim.files.truth import truth_of
 from dasim.values import Capture, Truth
 from validation.dataset_scores import figures
 from validation.dataset_scores.entrants import Entrant, result_identity
-from validation.dataset_scores.estimate import central, depth_map
+from validation.dataset_scores.estimate import depth_map
 from validation.gates.claim import plain_value
 from validation.methods import NamedMethod
+from validation.scores.margin import central
 from validation.scores.metrics import load_metrics, metric_figures
 from validation.scores.score import DEPTH_NEEDS
 from validation.scores.texture import textured

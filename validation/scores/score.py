@@ -17,6 +17,7 @@ from validation.scores import depth, pictures, texture
 from validation.scores.depth import METRICS as DEPTH_METRICS
 from validation.scores.depth import check_size
 from validation.scores.figures import Figure
+from validation.scores.margin import central, within
 from validation.scores.metrics import Metric, metric_figures
 
 PICTURES = ("captured", "all-in-focus")
@@ -31,14 +32,16 @@ def score(result: Reconstruction, capture: Capture, truth: Truth, *, metrics: Se
     """Figures of a reconstruction: raw and regularised depth, confidence, and pictures against the sharp truth.
 
     ``result``, ``capture`` and ``truth`` belong to one picture [h, w]; the capture determines which regions have
-    texture. Depth figures are named MAP.REGION.METRIC (:mod:`validation.scores.depth`), picture figures
-    PICTURE.REGION.METRIC (:mod:`validation.scores.pictures`). ``metrics`` are a user's functions of a depth map in
-    metres and the truth; their figures are named MAP.NAME. A truth without the part ``sharp_e`` has no figures of
-    pictures. Raises InputError if the sizes differ, or if the truth lacks ``depth``.
+    texture. A truth that lacks a margin of the frame is scored where it is. Depth figures are named MAP.REGION.METRIC
+    (:mod:`validation.scores.depth`), picture figures PICTURE.REGION.METRIC (:mod:`validation.scores.pictures`).
+    ``metrics`` are a user's functions of a depth map in metres and the truth; their figures are named MAP.NAME. A truth
+    without the part ``sharp_e`` has no figures of pictures. Raises InputError if the sizes differ, or if the truth
+    lacks ``depth``.
     """
     _check_kinds((result, Reconstruction), (capture, Capture), (truth, Truth))
     truth.require(*DEPTH_NEEDS)
-    camera, textured = result.camera, texture.textured(capture)
+    result = within(result, truth)
+    camera, textured = result.camera, central(texture.textured(capture), truth.depth_m.shape)
     check_size(result.level, truth, "reconstruction")
     raw_m = np.where(np.isfinite(result.level_raw), depth_of_level(result.level_raw, result), np.nan)
     figures = []
@@ -60,13 +63,18 @@ def score_map(
 ) -> list[Figure]:
     """Figures of any depth map [h, w] in metres, NaN where there is no estimate, and of its confidence.
 
-    ``depth_m`` is z from the lens plane; ``confidence`` [h, w] is on any increasing scale. Raises InputError if the
+    ``depth_m`` is z from the lens plane, in the size of the capture or of a truth that lacks a margin of it;
+    ``confidence`` [h, w] is on any increasing scale. Raises InputError if the
     sizes differ, if the map has no depth in any pixel, or if the truth lacks ``depth``.
     """
     _check_kinds((capture, Capture), (truth, Truth))
     truth.require(*DEPTH_NEEDS)
-    depth_m = _checked(depth_m)
-    figures = depth_figures("depth", depth_m, truth, capture.camera, texture.textured(capture))
+    depth_m, shape = _checked(depth_m), truth.depth_m.shape
+    if depth_m.shape == capture.raw_dn.shape:
+        depth_m = central(depth_m, shape)
+        confidence = None if confidence is None else central(np.asarray(confidence), shape)
+    textured = central(texture.textured(capture), shape)
+    figures = depth_figures("depth", depth_m, truth, capture.camera, textured)
     figures += metric_figures("depth", depth_m, truth, metrics)
     if confidence is not None:
         figures += confidence_figures("depth", depth_m, confidence, truth, capture.camera)

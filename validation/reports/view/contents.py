@@ -22,6 +22,7 @@ from recon.views.surface import JUMP_SHARE, distortion_per_px, intrinsic_matrix
 from validation.reports.view.focal_stack import Slice
 from validation.reports.view.packing import lossless, packed_map
 from validation.scores import pictures
+from validation.scores.margin import framed, has_margin
 
 TRUTHS = {"truth": "Truth, through a pinhole", "truth-focus": "Truth, in focus with diffraction"}
 
@@ -74,7 +75,7 @@ def of_reconstruction(
     """Contents of a reconstruction with its focal stack, and of its capture where that is known."""
     shown = _of_camera(result.camera, capture, truth)
     exposed: dict[str, NDArray[Any]] = {"captured": result.rgb, "all-in-focus": result.sharp_rgb}
-    if truth is not None:
+    if truth is not None and _shows_pictures(result.camera, truth):
         exposed |= {name: image for name, image in pictures.displayed(result, truth).items() if name in TRUTHS}
     labels = {"captured": "Captured", "all-in-focus": "All in focus"} | TRUTHS
     maps = {"depth": _vergence(result.depth_m), "confidence": packed_map(result.confidence)}
@@ -97,7 +98,7 @@ def of_capture(capture: Capture, developed: Developed, truth: Truth | None) -> C
     """Contents of a capture without a reconstruction: its colours, its mosaic, and the truth where there is one."""
     shown = _of_camera(capture.camera, capture, truth)
     seen = [Picture("captured", "Captured", developed.rgb)]
-    if truth is not None:
+    if truth is not None and _shows_pictures(capture.camera, truth):
         exact = {"truth": truth.sharp_e, "truth-focus": truth.focus_e}
         scale = exposure_scale(developed.linear_e, developed.matrix)
         for name, image_e in exact.items():
@@ -112,6 +113,11 @@ def of_capture(capture: Capture, developed: Developed, truth: Truth | None) -> C
         pictures=seen,
         channels=_channels(developed.linear_e, developed.ir_e),
     )
+
+
+def _shows_pictures(camera: Camera, truth: Truth) -> bool:
+    """Whether a truth has pictures of a camera's whole frame; that of a dataset may lack them, or a margin."""
+    return truth.has("sharp_e", "depth_m") and not has_margin(camera, truth)
 
 
 def _made(settings: dict[str, Any]) -> str:
@@ -140,13 +146,14 @@ def _of_camera(camera: Camera, capture: Capture | None, truth: Truth | None) -> 
         "Camera": f"{camera.name}: {lens.focal_length_mm:g} mm f/{lens.f_number:g}, focus {lens.focus_distance_m:g} m",
         "Frame": f"{sensor.width_px} x {sensor.height_px} pixels of {sensor.pixel_pitch_um:g} um",
     }
+    size = sensor.height_px, sensor.width_px
     if capture is not None:
         facts["Exposure"] = f"{capture.exposure_s * 1e3:.1f} ms, gain {capture.gain:g}"
     return Contents(
         title=str(name or camera.name),
         camera=camera,
         facts=facts,
-        maps={} if truth is None else {"true_depth": _vergence(truth.depth_m)},
+        maps={"true_depth": _vergence(framed(truth.depth_m, size))} if truth and truth.has("depth_m") else {},
         mosaic=None if capture is None else _mosaic(capture),
     )
 
