@@ -134,6 +134,8 @@ def info(dataset: str, *, plot: Path | None = None) -> int:
     spec, rows = reading.spec_of(dataset), reading.index_rows(dataset)
     print(f"{spec.name} {spec.version}, {spec.format}, licence: {spec.licence}")
     print("\n".join(card.statistics(rows)))
+    if plot is not None and not rows:
+        raise InputError(f"--plot {plot}: the dataset has no samples to plot")
     if plot is not None:
         histograms.plot(rows, plot, f"{spec.name} {spec.version}")
         print(f"plot: {plot}")
@@ -225,7 +227,7 @@ def export(
     as_: Annotated[Literal["hdf5", "coco", "bop", "nyu", "stack", "croissant"], Parameter(name="--as")],
     out: Path | None = None,
     split: str | None = None,
-    picture: Literal["taken", "sharp"] = "taken",
+    picture: Literal["taken", "sharp"] | None = None,
 ) -> int:
     """Write a dataset in the layout of others, with README.md on its conventions; nothing is left if it is stopped.
 
@@ -238,13 +240,15 @@ def export(
         as_: hdf5, coco, bop, nyu, stack or croissant
         out: output folder, which must not exist; out/NAME-FORMAT by default
         split: the split to export; all by default
-        picture: colour pictures of coco, bop, nyu and stack: taken, developed from the mosaic with its blur and noise,
-            or sharp, through a pinhole
+        picture: colour pictures of coco, bop, nyu and stack: taken, developed from the mosaic with its blur and noise
+            (the default), or sharp, through a pinhole
     """
     from dasim.base import atomic
     from dasim.dataset.export import bop, coco, croissant, frames, hdf5, nyu, stack
     from dasim.dataset.reading import open_dataset
 
+    if picture is not None and as_ in ("hdf5", "croissant"):
+        raise InputError(f"--picture: applies to coco, bop, nyu and stack; --as {as_} has no developed pictures")
     if as_ == "croissant":
         if out is not None or split is not None:
             raise InputError("--as croissant: describes the whole dataset in a file in it; leave out --out and --split")
@@ -257,7 +261,7 @@ def export(
             raise InputError(f"{out}: exists; name another folder with --out")
     else:
         options.check_new_file(out, "--out")
-    frames.check_parts(samples, ("sharp_srgb",) if picture == "sharp" and as_ != "hdf5" else (), "--picture sharp")
+    frames.check_parts(samples, ("sharp_srgb",) if picture == "sharp" else (), "--picture sharp")
     made = frames.sharp if picture == "sharp" else _developed
     with options.progress() as progress, atomic.new_folder(out) as folder:
 

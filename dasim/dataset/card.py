@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from dasim.dataset import plan, reading, storage
-from dasim.dataset.plan import INDEX, MANIFEST, SUMS
+from dasim.dataset.plan import DESCRIPTION, INDEX, MANIFEST, SUMS
 from dasim.dataset.sample import BLUR_EDGES_PX, DEPTH_EDGES_M, json_bytes
 from dasim.dataset.specification import DatasetSpec
 
@@ -50,13 +50,15 @@ def tidy(out: str) -> None:
 
 
 def undo(out: str, spec: DatasetSpec) -> None:
-    """Undo :func:`finish`: write the rows of each shard, and remove index, card, contact sheet and checksums."""
+    """Undo :func:`finish`: write the rows of each shard, and remove index, card, contact sheet, checksums and
+    their description.
+    """
     groups: dict[str, list[dict[str, Any]]] = {group.name: [] for group in plan.shards(spec)}
     for row in reading.index_rows(out):
         groups[row["shard"]].append(row | {"thumbnail": base64.b64encode(row["thumbnail"]).decode()})
     for name, rows in groups.items():
         storage.write(out, f"rows/{name}.json", json_bytes(rows))
-    for name in (SUMS, INDEX, CARD, SHEET):
+    for name in (SUMS, INDEX, CARD, SHEET, DESCRIPTION):
         storage.remove(out, name)
 
 

@@ -21,6 +21,7 @@ SCHEMA = 1
 MANIFEST = "dataset.json"
 INDEX = "index.parquet"
 SUMS = "SHA256SUMS"
+DESCRIPTION = "croissant.json"  # by an export, of index and checksums
 LOGS = "make*.log"  # one per run of several simultaneous ones
 CLAIMS = "make-claims.log"  # empty; its bytes are locked, one per shard, by the run that makes the shard
 # Bytes per pixel of each part of the truth with EXR's ZIP compression, measured on random scenes.

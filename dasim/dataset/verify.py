@@ -11,14 +11,14 @@ import numpy as np
 
 from dasim.base.errors import InputError
 from dasim.dataset import card, draws, plan, reading, storage
-from dasim.dataset.plan import LOGS, MANIFEST, SUMS
+from dasim.dataset.plan import DESCRIPTION, LOGS, MANIFEST, SUMS
 from dasim.dataset.sample import file_names, frame_name, key
 from dasim.dataset.specification import DatasetSpec
 from dasim.files.truth import PER_CHANNEL
 
 ELECTRONS = dict.fromkeys(PER_CHANNEL, (0.0, 1e9))
 RANGES = {"depth_m": (0.0, 1e6), "blur_px": (-1e4, 1e4), **ELECTRONS}
-HARMLESS = (LOGS, "parts/*", "rows/*", "croissant.json")  # allowed files without a checksum
+HARMLESS = (LOGS, "parts/*", "rows/*", DESCRIPTION)  # allowed files without a checksum
 SHAPES = {"normal": 3, "sharp_srgb": 3, **dict.fromkeys(PER_CHANNEL)}  # last axis; None: one per channel
 
 

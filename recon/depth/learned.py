@@ -11,7 +11,7 @@ The network needs PyTorch and safetensors, of the extra ``learn``; both are impo
 
 from __future__ import annotations
 
-from functools import cache
+from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -121,9 +121,16 @@ def probabilities(shown: Float32Array, last_px: float, weights: Path) -> tuple[F
     return mean, np.sqrt(np.maximum(square - mean**2, 0))
 
 
-@cache
 def network(weights: Path) -> Any:
-    """The network of a file of weights; raises InputError where it is none, or PyTorch is missing."""
+    """The network of a file of weights, read again if the file changes; raises InputError where it is none, or PyTorch
+    is missing.
+    """
+    path = weights.resolve()
+    return _network(path, path.stat().st_mtime_ns if path.is_file() else 0)
+
+
+@lru_cache(maxsize=4)
+def _network(weights: Path, _: int) -> Any:
     check_installed()
     from safetensors import SafetensorError
     from safetensors.torch import load

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from dasim.base.errors import InputError
 from dasim.dataset.export.coco import box_of
 from dasim.dataset.export.frames import (
     Frame,
@@ -18,6 +19,7 @@ from dasim.dataset.export.frames import (
     Picture,
     check_parts,
     depth_unit_mm,
+    distorting,
     frames,
     write_about,
     write_depth,
@@ -45,6 +47,11 @@ Table = dict[str, Any]
 def write(folder: Path, samples: Dataset, picture: Picture, show: Callable[[float], None]) -> None:
     """Write the samples scene by scene into a folder."""
     check_parts(samples, ("depth", "labels"), "--as bop")
+    if names := distorting(samples):
+        raise InputError(
+            f"--as bop: its cameras are pinholes, but the lens of {', '.join(names)} has distortion_per_mm; export to "
+            "hdf5, coco or nyu"
+        )
     unit_mm = depth_unit_mm(samples)
     scene_numbers = {name: n for n, name in enumerate(dict.fromkeys(row["scene"] for row in samples.rows))}
     tables: dict[Path, tuple[Table, Table, Table]] = {}

@@ -9,11 +9,10 @@ from typing import Any
 
 from dasim.base.errors import InputError
 from dasim.dataset import plan, storage
-from dasim.dataset.plan import INDEX, SUMS
+from dasim.dataset.plan import DESCRIPTION, INDEX, SUMS
 from dasim.dataset.reading import Dataset
 from dasim.dataset.sample import json_bytes
 
-NAME = "croissant.json"
 CONTEXT = {
     "@language": "en",
     "@vocab": "https://schema.org/",
@@ -70,8 +69,8 @@ def write(samples: Dataset) -> str:
     It lists the index and the shards (or the folders' files) with their checksums, and the scalar columns of the index
     as a record set ``samples``.
     """
-    storage.write(samples.path, NAME, json_bytes(description(samples)))
-    return NAME
+    storage.write(samples.path, DESCRIPTION, json_bytes(description(samples)))
+    return DESCRIPTION
 
 
 def description(samples: Dataset) -> dict[str, Any]:

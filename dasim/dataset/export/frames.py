@@ -30,6 +30,13 @@ from dasim.typing import FloatArray
 Picture = Callable[[Sample], NDArray[np.uint8]]  # of a sample: sRGB [h, w, 3], of the size of the raw picture
 FINE_MM, COARSE_MM = 0.1, 1.0  # units of 16-bit depth: up to 6.5 m, and up to 65 m
 
+DISTORTED = """
+Distortion: the lens of {} has `distortion_per_mm`, and pictures and maps are distorted as the sensor records them. The
+intrinsic matrix holds for the pinhole picture. A pixel at r mm from the axis shows what a pinhole shows at
+r (1 + a1 r^2 + a2 r^4 + ...) mm, with a1, a2, ... the coefficients of the camera file: convert pixels with
+`dasim.camera.distortion.to_pinhole_px` before the matrix is applied.
+"""
+
 
 class Labelled(NamedTuple):
     """An object that a frame shows."""
@@ -158,9 +165,22 @@ def write_json(path: Path, value: Any) -> None:
     path.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
 
 
+def distorting(samples: Dataset) -> list[str]:
+    """Names of a dataset's cameras whose lens has distortion, which an intrinsic matrix alone does not describe.
+
+    It is that of the first sample of each camera.
+    """
+    first: dict[str, int] = {}
+    for number, row in enumerate(samples.rows):
+        first.setdefault(str(row["camera"]), number)
+    return [name for name, number in first.items() if samples[number].meta["camera"]["lens"].get("distortion_per_mm")]
+
+
 def write_about(folder: Path, samples: Dataset, text: str) -> None:
     """README.md of an export: what it was made from, and the conventions of its layout."""
     spec = samples.spec
+    if names := distorting(samples):
+        text = f"{text.strip()}\n\n{DISTORTED.format(', '.join(names)).strip()}"
     (folder / "README.md").write_text(
         f"# {spec.name} {spec.version}\n\nLicence: {spec.licence}. Exported by dasim.\n\n{text.strip()}\n",
         encoding="utf-8",

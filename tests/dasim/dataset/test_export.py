@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import dasim
+from dasim.camera.specification import CAMERA_DIR
 from dasim.cli import run
 from dasim.dataset import verify
 from dasim.dataset.export import coco
@@ -104,7 +105,10 @@ def test_hdf5_has_all_that_the_dataset_has(exported, samples):
             np.testing.assert_array_equal(group["raw_dn"][:], sample.raw_dn)
             assert json.loads(group["meta"][()]) == sample.meta and dict(file.attrs)["licence"] == "CC0-1.0"
             arrays = {name: value for name, value in sample.truth.items() if isinstance(value, np.ndarray)}
-            assert set(group) == {"raw_dn", "meta", *arrays}
+            assert set(group) == {"raw_dn", "meta", "objects", "materials", "classes", *arrays}
+            for name in ("objects", "materials"):
+                assert tuple(group[name].asstr()[:]) == tuple(sample.truth[name])
+            assert tuple(group["classes"].asstr()[:]) == CLASSES
             for name, value in arrays.items():
                 np.testing.assert_array_equal(group[name][:], value)
                 assert group[name].dtype == value.dtype
@@ -351,6 +355,8 @@ def test_an_index_of_strangers_writes_nothing_outside(dataset, tmp_path, capsys)
         (["--as", "coco", "--out", "{new}/no/x"], "does not exist"),
         (["--as", "coco", "--out", "{new}/x", "--split", "val"], "no split 'val'"),
         (["--as", "croissant", "--out", "{new}/x"], "leave out --out and --split"),
+        (["--as", "croissant", "--picture", "sharp"], "--picture: applies to coco, bop, nyu and stack"),
+        (["--as", "hdf5", "--picture", "taken", "--out", "{new}/x"], "--picture: applies to"),
     ],
 )
 def test_mistakes_end_in_one_line(dataset, tmp_path, capsys, options, message):
@@ -384,3 +390,17 @@ def test_what_a_dataset_lacks(renderer, tmp_path, capsys, keep, form, message):
     assert run(["dataset", "export", str(tmp_path / "ds"), *options]) == 2
     assert message in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ds", "spec.toml", "wall.toml"]
+
+
+def test_distortion_is_stated_and_no_pinhole_of_bop(jit, tmp_path, capsys):
+    """Rationale: with a matrix alone, a reader of the export would misplace points by several pixels."""
+    lens = "[lens]\ndistortion_per_mm = [0.015]\n"
+    camera = (CAMERA_DIR / "da-mobile.toml").read_text().replace("[lens]\n", lens)
+    (tmp_path / "bent.toml").write_text(camera)
+    spec = spec_file(tmp_path, samples=1, files=["wall.toml"], more='[[cameras]]\nname = "bent.toml"\n')
+    make_dataset(spec, tmp_path / "ds")
+    options = ["dataset", "export", str(tmp_path / "ds"), "--out"]
+    assert run([*options, str(tmp_path / "bop"), "--as", "bop"]) == 2
+    assert "the lens of da-mobile has distortion_per_mm" in capsys.readouterr().err
+    assert run([*options, str(tmp_path / "hdf5"), "--as", "hdf5"]) == 0
+    assert "Distortion: the lens of da-mobile has" in (tmp_path / "hdf5" / "README.md").read_text()

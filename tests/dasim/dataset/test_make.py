@@ -103,7 +103,9 @@ def test_poisoned_sample_is_left_out_until_it_is_repaired(tmp_path, monkeypatch,
     assert run(["dataset", "verify", str(out)]) == 0
     assert run(["dataset", "make", str(spec), "--out", str(out)]) == 1  # nothing to do, and still not whole
     (tmp_path / "thing.obj").write_text(SQUARE)
+    assert run(["dataset", "export", str(out), "--as", "croissant"]) == 0
     assert run(["dataset", "make", str(spec), "--out", str(out), "--retry"]) == 0
+    assert not (out / "croissant.json").exists(), "its checksums are those of before"
     assert Counter(log_entries(out)) == {
         **{(index, True): 1 for index in range(4)},
         **{(1, False): 1, (3, False): 1},
