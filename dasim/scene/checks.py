@@ -16,7 +16,7 @@ from dasim.scene.clearance import LENS_CLEARANCE_M, distance_m, placement_proble
 from dasim.scene.lights import Light, Near
 from dasim.scene.object_materials import triangles
 from dasim.scene.shapes import Box, HeightField, Mesh, Object, Sphere, half_extent_m, mesh_parts, placement
-from dasim.scene.specification import Scene, object_to_camera, world_to_camera
+from dasim.scene.specification import Scene, View, object_to_camera, world_to_camera
 from dasim.spectra import illuminants
 
 
@@ -124,15 +124,18 @@ def _colour_problems(item: Mesh, scene: Scene) -> list[str]:
 
 def _place_problems(item: Object, scene: Scene) -> list[str]:
     to_camera = object_to_camera(item, scene)
-    return size_problems(item, scene.folder) + placement_problems(item, scene.folder, to_camera)
+    return size_problems(item, scene.folder) + placement_problems(item, scene.folder, to_camera, moved=_moved(scene))
+
+
+def _moved(scene: Scene) -> bool:
+    return scene.view != View()
 
 
 def check_clear(scene: Scene, pupil_radius_m: float) -> None:
     """Raise InputError if an object reaches into a lens opening of ``pupil_radius_m``, metres, or encloses it."""
-    problems = [
-        problem
-        for item in scene.objects
-        for problem in placement_problems(item, scene.folder, object_to_camera(item, scene), pupil_radius_m)
-    ]
+    moved, problems = _moved(scene), []
+    for item in scene.objects:
+        to_camera = object_to_camera(item, scene)
+        problems += placement_problems(item, scene.folder, to_camera, pupil_radius_m, moved=moved)
     if problems:
         raise InputError(f"scene '{scene.name}': " + "; ".join(problems))

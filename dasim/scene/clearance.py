@@ -48,7 +48,9 @@ def distance_m(light: Near, to_camera: FloatArray) -> float:
     return float(np.hypot(off_plane, max(in_plane - radius, 0.0)))
 
 
-def placement_problems(item: Object, folder: Path, to_camera: FloatArray, pupil_radius_m: float = 0.0) -> list[str]:
+def placement_problems(
+    item: Object, folder: Path, to_camera: FloatArray, pupil_radius_m: float = 0.0, *, moved: bool = False
+) -> list[str]:
     """Problems with the position of an object: behind the lens, in contact with it, or enclosing it.
 
     Args:
@@ -56,11 +58,12 @@ def placement_problems(item: Object, folder: Path, to_camera: FloatArray, pupil_
         folder: where its mesh file lies
         to_camera: transform of its local axes into camera axes, metres, [4, 4]
         pupil_radius_m: radius of the lens opening around the origin, metres
+        moved: whether the scene has a view of its own, from which objects may lie behind the lens
     """
     centre, half = half_extent_m(item, folder)
     corners = centre + np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * half
     depths = corners @ to_camera[2, :3] + to_camera[2, 3]
-    if depths.max() <= 0:
+    if depths.max() <= 0 and not moved:
         return [f"object '{item.name}': lies behind the lens (z up to {depths.max() * 100:.3g} cm, must be above 0)"]
     # Points of the pupil (centre, half radius, rim) in the object's axes, against its box enlarged by the clearance.
     angles = np.linspace(0.0, 2 * np.pi, PUPIL_POINTS, endpoint=False)

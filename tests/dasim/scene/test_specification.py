@@ -154,6 +154,12 @@ def test_several_mistakes_are_named_at_once(tmp_path):
     assert all(part in message for part in ("'unobtainium'", "'F99'", "'tin'")), message
 
 
+def test_a_view_of_its_own_may_leave_objects_behind_the_lens(tmp_path):
+    """Rationale: a camera that moves through a scene passes objects; a scene without a view has none but mistakes."""
+    view = "[view]\nposition_cm = [0, 0, 30]\nlook_at_cm = [0, 0, 40]\n"
+    assert len(load(tmp_path, GOOD + view).objects) == 2
+
+
 def test_file_that_is_not_there():
     with pytest.raises(InputError, match=r"scene 'attic' is neither a bundled name \(.*desk.*\) nor a file"):
         loading.load_scene("attic")
