@@ -133,8 +133,6 @@ class Sensor(Specification):
             )
         if self.black_level_dn >= 2**self.adc_bits - 1:
             raise ValueError(f"black_level_dn must be below {2**self.adc_bits - 1}")
-        if self.read_noise_e >= self.full_well_e:
-            raise ValueError(f"read_noise_e must be below full_well_e, {self.full_well_e:g} (is {self.read_noise_e:g})")
         edge = float(spectral_shares(self).edge.max())
         if edge > diffusion.LARGEST_EDGE_SHARE:
             raise ValueError(

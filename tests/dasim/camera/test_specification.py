@@ -47,7 +47,6 @@ def refusal(folder, text: str) -> str:
         ("cutoff_nm = 810", "cutoff_nm = 840", ["sensor.cutoff_nm", "840"]),
         ("focus_distance_m = 0.4", "focus_distance_m = 0.4\nfocal_shift_um = [[900, 1]]", ["lens.focal_shift_um"]),
         ("edge_width_nm = 8", "edge_width_nm = 0", ["stops.0.edge_width_nm"]),
-        ("full_well_e = 6000", "full_well_e = 2", ["sensor: read_noise_e must be below full_well_e"]),
         ("width_px = 2048", "width_px = 2047", ["sensor", "2047 x 1536", "2 x 2 mosaic"]),
         ("width_px = 2048", "width_px = 2", ["sensor.width_px"]),
         ("pixel_pitch_um = 1.7", "pixel_pitch_um = 0", ["sensor.pixel_pitch_um"]),
