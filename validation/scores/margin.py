@@ -29,15 +29,21 @@ def framed(image: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
     return whole
 
 
+def is_inside(shape: tuple[int, ...], whole: tuple[int, ...]) -> bool:
+    """Whether a ``shape`` is that of a ``whole`` frame, or of one without a margin that is the same on all sides."""
+    margins = {have - want for have, want in zip(whole[:2], shape[:2], strict=True)}
+    return len(margins) == 1 and min(margins) >= 0 and min(margins) % 2 == 0
+
+
 def has_margin(camera: Camera, truth: Truth) -> bool:
     """Whether a truth lacks a margin of a camera's frame."""
     return truth.depth_m.shape != (camera.sensor.height_px, camera.sensor.width_px)
 
 
 def within(result: Reconstruction, truth: Truth) -> Reconstruction:
-    """A reconstruction in the frame of a truth, if that is a part of its own."""
+    """A reconstruction in the frame of a truth, if that is its own without a margin."""
     shape, whole = truth.depth_m.shape, result.depth_m.shape
-    if shape == whole or any(want > have for want, have in zip(shape, whole, strict=True)):
+    if shape == whole or not is_inside(shape, whole):
         return result
     sensor = result.camera.sensor
     top, left = ((have - want) // 2 for have, want in zip(whole, shape, strict=True))

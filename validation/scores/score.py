@@ -17,7 +17,7 @@ from validation.scores import depth, pictures, texture
 from validation.scores.depth import METRICS as DEPTH_METRICS
 from validation.scores.depth import check_size
 from validation.scores.figures import Figure
-from validation.scores.margin import central, within
+from validation.scores.margin import central, is_inside, within
 from validation.scores.metrics import Metric, metric_figures
 
 PICTURES = ("captured", "all-in-focus")
@@ -70,7 +70,7 @@ def score_map(
     _check_kinds((capture, Capture), (truth, Truth))
     truth.require(*DEPTH_NEEDS)
     depth_m, shape = _checked(depth_m), truth.depth_m.shape
-    if depth_m.shape == capture.raw_dn.shape:
+    if depth_m.shape == capture.raw_dn.shape and is_inside(shape, depth_m.shape):
         depth_m = central(depth_m, shape)
         confidence = None if confidence is None else central(np.asarray(confidence), shape)
     textured = central(texture.textured(capture), shape)

@@ -22,7 +22,7 @@ from recon.views.surface import JUMP_SHARE, distortion_per_px, intrinsic_matrix
 from validation.reports.view.focal_stack import Slice
 from validation.reports.view.packing import lossless, packed_map
 from validation.scores import pictures
-from validation.scores.margin import framed, has_margin
+from validation.scores.margin import framed, has_margin, is_inside
 
 TRUTHS = {"truth": "Truth, through a pinhole", "truth-focus": "Truth, in focus with diffraction"}
 
@@ -115,6 +115,14 @@ def of_capture(capture: Capture, developed: Developed, truth: Truth | None) -> C
     )
 
 
+def _true_maps(camera: Camera, truth: Truth | None) -> dict[str, Any]:
+    """The true depth in a camera's frame, NaN in a margin that the truth lacks; nothing where there is none."""
+    frame = camera.sensor.height_px, camera.sensor.width_px
+    if truth is None or not truth.has("depth_m") or not is_inside(truth.depth_m.shape, frame):
+        return {}
+    return {"true_depth": _vergence(framed(truth.depth_m, frame))}
+
+
 def _shows_pictures(camera: Camera, truth: Truth) -> bool:
     """Whether a truth has pictures of a camera's whole frame; that of a dataset may lack them, or a margin."""
     return truth.has("sharp_e", "depth_m") and not has_margin(camera, truth)
@@ -146,14 +154,13 @@ def _of_camera(camera: Camera, capture: Capture | None, truth: Truth | None) -> 
         "Camera": f"{camera.name}: {lens.focal_length_mm:g} mm f/{lens.f_number:g}, focus {lens.focus_distance_m:g} m",
         "Frame": f"{sensor.width_px} x {sensor.height_px} pixels of {sensor.pixel_pitch_um:g} um",
     }
-    size = sensor.height_px, sensor.width_px
     if capture is not None:
         facts["Exposure"] = f"{capture.exposure_s * 1e3:.1f} ms, gain {capture.gain:g}"
     return Contents(
         title=str(name or camera.name),
         camera=camera,
         facts=facts,
-        maps={"true_depth": _vergence(framed(truth.depth_m, size))} if truth and truth.has("depth_m") else {},
+        maps=_true_maps(camera, truth),
         mosaic=None if capture is None else _mosaic(capture),
     )
 
