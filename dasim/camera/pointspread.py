@@ -388,7 +388,7 @@ def psf(
             middle of the lens meets the sensor
         size: odd number of pixels per side; by default large enough for the blur and its diffraction tail
         diffraction: ``wave``, ``airy`` or ``off``; where ``wave`` transforms a sampled pupil (polygons, masks,
-            aberrations without symmetry, and places off the axis), more than ``MOST_WAVES`` waves of defocus are ``off``
+            aberrations without symmetry, places off the axis), defocus of more than ``MOST_WAVES`` waves is ``off``
         field_px: (x, y) of the point's image from the optical axis, which widens the pattern of ``wave``; by default
             the middle of the camera's frame, which is on the axis unless ``sensor.principal_point_px`` is elsewhere
     """
