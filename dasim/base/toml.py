@@ -52,7 +52,10 @@ class Specification(_Base):
             raise InputError(f"{kind}.{name} cannot be changed; make another {kind}, of model_dump() with other values")
 
     def __hash__(self) -> int:
-        return hash((type(self), self.model_dump_json()))  # tables within it have no hash of their own
+        try:
+            return hash((type(self), *(getattr(self, name) for name in type(self).model_fields)))
+        except TypeError:  # a table within it has no hash of its own
+            return hash((type(self), self.model_dump_json()))
 
     @model_validator(mode="before")
     @classmethod
