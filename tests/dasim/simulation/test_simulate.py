@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from dasim.base.toml import parse
 from dasim.camera import noise
 from dasim.camera import specification as cameras
 from dasim.camera.crosstalk import electronic_crosstalk
-from dasim.camera.dotted_keys import with_values
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
 from dasim.simulation.checks import diffraction_model
@@ -152,16 +150,6 @@ def test_capture_says_where_it_comes_from(shot, renderer):
     assert [item["name"] for item in about["scene"]["objects"]] == ["wall", "card"]
     assert about["saturated_pixels"] == np.count_nonzero(capture.raw_dn == 1023)
     assert "folder" not in about["scene"], "no path of this computer in a data set"
-
-
-@pytest.mark.slow
-def test_threads_take_turns(scene, da_mobile, renderer):
-    """Rationale: the renderer has one state for a process; two threads within it end the process."""
-    camera = cameras.cropped(da_mobile, 32, 24)
-    with ThreadPoolExecutor(3) as pool:
-        shots = list(pool.map(lambda seed: simulate(scene, camera, seed=seed, spp=4), [0, 1, 0]))
-    assert np.array_equal(shots[0].capture.raw_dn, shots[2].capture.raw_dn)
-    assert not np.array_equal(shots[0].capture.raw_dn, shots[1].capture.raw_dn)
 
 
 def test_same_seed_same_bytes(scene, da_mobile, renderer):
@@ -396,27 +384,3 @@ def test_a_noise_model_of_ones_own_makes_the_raw_picture(renderer, scene, da_mob
     assert users_shot.capture.provenance["noise"].endswith("makes_the_raw_picture.<locals>.model")
     assert shot.capture.provenance["noise"] == "dasim.camera.noise:expose"
     np.testing.assert_array_equal(users_shot.truth.mean_e, shot.truth.mean_e)
-
-
-@pytest.mark.slow
-def test_a_stop_without_light_leaves_the_truth_of_the_others(renderer, scene, da_mobile):
-    """Set-up: ideal edges, and a sensor that is cut off where the hole begins to pass light."""
-    stops = [stop.model_copy(update={"edge_width_nm": 0.1}) for stop in da_mobile.stops]
-    camera = cameras.cropped(da_mobile.model_copy(update={"stops": tuple(stops)}), 32, 24)
-    camera = with_values(camera, {"sensor.cutoff_nm": 620.0, "sensor.cutoff_width_nm": 0.1})
-    truth = simulate(scene, camera, spp=16, diffraction="off").truth
-    mean, sharp = (picture[..., :3].mean(axis=(0, 1), dtype=float) for picture in (truth.mean_e, truth.sharp_e))
-    np.testing.assert_allclose(sharp, mean, rtol=0.1)
-    assert truth.sharp_srgb.max() > 0.1
-
-
-@pytest.mark.slow
-def test_blur_of_a_thousand_pixels(jit, make_scene, da_mobile):
-    """Set-up: a lens of 100 mm, focused at 5 m, in front of a wall at 40 cm. Expectation: as much light as sharp."""
-    wall = {"name": "wall", "shape": "plane", "size_cm": (60, 60), "position_cm": (0, 0, 40), "material": "sand"}
-    lens = {"lens.focal_length_mm": 100.0, "lens.f_number": 4.0, "lens.focus_distance_m": 5.0}
-    camera = with_values(cameras.cropped(da_mobile, 32, 24), lens)
-    truth = simulate(make_scene(wall, lights=[DOME]), camera, spp=8).truth
-    assert truth.blur_px.min() > 1000
-    mean, sharp = (picture.mean(axis=(0, 1), dtype=float) for picture in (truth.mean_e, truth.sharp_e))
-    np.testing.assert_allclose(mean, sharp, rtol=RENDER_NOISE)
