@@ -124,8 +124,8 @@ $(VENV)/.installed-learn: $(VENV)/.installed-test
 	@$(PIP) install -c constraints.txt -e '.[test,learn]'
 	@touch $@
 
-# Rendering is about four times faster with LLVM 17 or newer. Without it everything works all the same,
-# so nothing here ends the run.
+# Rendering is about four times faster with LLVM 17 or newer. Without it, dasim falls back to a slower variant with
+# approximate diffraction, so nothing here ends the run.
 $(VENV)/.llvm: $(VENV)/.installed
 	@if $(BIN)/python -m dasim.render.backend; then :; \
 	elif [ "$$(uname -s)" = Linux ] && [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1; then \

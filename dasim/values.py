@@ -281,7 +281,10 @@ def _map(image: Any, name: str) -> NDArray[np.floating]:
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Reconstruction:
-    """The result of a reconstruction. NaN marks pixels without an estimate."""
+    """The result of a reconstruction; pictures and maps have the size of the raw frame.
+
+    ``level_raw`` is NaN where there is no estimate; ``level``, ``depth_m`` and ``confidence`` cover every pixel.
+    """
 
     rgb: Float32Array  # [h, w, 3] sRGB 0..1, the picture as taken
     sharp_rgb: Float32Array  # [h, w, 3] sRGB 0..1, all in focus
@@ -290,7 +293,7 @@ class Reconstruction:
     ir_e: Float32Array  # [h, w] infrared, electrons
     level_raw: Float32Array  # [h, w] eq. (12), NaN where there is no edge
     level: Float32Array  # [h, w] eq. (13), everywhere; negative behind the focus
-    depth_m: Float32Array  # [h, w] from ``level``
+    depth_m: Float32Array  # [h, w] z from the lens plane, metres, from ``level``
     confidence: Float32Array  # [h, w] 0..1
     camera: Camera
     light: str  # the bank's light, chosen by white balance

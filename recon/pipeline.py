@@ -43,19 +43,20 @@ def reconstruct(
     progress: Progress | None = None,
     tile_px: int | None = None,
 ) -> Reconstruction:
-    """Reconstruct colour, depth and an all-in-focus picture from one capture.
+    """Reconstruct colour, depth and an all-in-focus picture, at the size of ``capture.raw_dn``, from one capture.
 
     Raises InputError if the bank does not match the capture, or if the mosaic has no infrared pixels.
 
     Args:
         capture: the raw picture.
         bank: point-spread functions of the same camera at the same focus.
-        settings: by default the preset ``DEFAULT_PRESET``.
+        settings: those of a preset, such as ``recon.PRESETS["paper"]``; by default ``recon.DEFAULT``, the preset
+            ``best``.
         method: a depth method, one of ``METHODS`` or your own, whose estimate replaces the raw levels. Regularisation
             fills its gaps, and its standard deviation gives the confidence. By default, ``settings.score`` selects it.
         flat: a capture of a uniform surface, for the correction of the lens shading in the pictures.
         progress: called with the name of each stage and the share of stages before it, 0..1.
-        tile_px: largest side of a tile in raw pixels, at least ``LEAST_TILE_PX`` (96 px in the deconvolution). By
+        tile_px: largest side of a tile in raw pixels, 64 or more (the deconvolution uses at least 96). By
             default, each stage has its own.
             With the score ``joint`` (presets ``best`` and ``fast``) it affects time and memory, but hardly the result
             (claim ``recon-large``); with other scores small tiles change levels near their borders.

@@ -332,18 +332,20 @@ def psf(
 ) -> FloatArray:
     """Point-spread function of a channel for a white point, [size, size] in pixels, y down, x right.
 
-    Each value is the share of the point's light in that pixel; the sum is 1 less the light outside the frame.
+    Each value is the share of the point's light in that pixel; the sum is 1 minus the share of the light that falls
+    outside the array.
 
     Args:
         camera: a Camera, a bundled name or a path; its own focus is used
         depth_m: distance of the point from the lens plane, above 0
         channel: a name of the mosaic, such as ``"G"`` or ``"IR"``
         illuminant: the spectrum of the point's light, such as ``"D65"``
-        offset_px: (y, x) from the centre of the middle pixel to the point's image, which is where the ray through the
-            middle of the lens meets the sensor
+        offset_px: (y, x), unlike ``field_px``, from the centre of the middle pixel to the point's image, which is where
+            the ray through the middle of the lens meets the sensor
         size: odd number of pixels per side; by default large enough for the blur and its diffraction tail
         diffraction: ``wave``, ``airy`` or ``off``; where ``wave`` transforms a sampled pupil (polygons, masks,
-            aberrations without symmetry, places off the axis), defocus of more than ``MOST_WAVES`` waves is ``off``
+            aberrations without symmetry, places off the axis), defocus beyond
+            ``dasim.camera.pointspread.MOST_WAVES`` waves is computed as ``off``
         field_px: (x, y) of the point's image from the optical axis, which widens the pattern of ``wave``; by default
             the middle of the camera's frame, which is on the axis unless ``sensor.principal_point_px`` is elsewhere
     """

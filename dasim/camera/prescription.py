@@ -42,15 +42,15 @@ class _Traced(NamedTuple):
 
 
 def camera_from_lens(path: str | Path, camera: Camera | str | Path = "da-mobile") -> Camera:
-    """The camera with focal length, f-number and errors of a lens prescription.
+    """The camera with focal length, f-number, wavefront errors, axial colour, distortion and vignetting of a lens
+    prescription.
 
-    Sensor, stops, and focus stay those of ``camera``; its frame decides up to which angle the lens is traced.
+    Stops, sensor and focus distance are those of ``camera``; the lens is traced from infinity, out to the corner of the
+    camera's frame. Raises InputError if the file cannot be read or the lens does not cover the frame.
 
     Args:
         path: a Zemax file (.zmx) or Optiland's own format (.json).
         camera: a Camera, a bundled name or a path.
-
-    InputError where the file cannot be read, or where the lens does not cover the frame.
     """
     camera, path = as_camera(camera), Path(path)
     with warnings.catch_warnings(), np.errstate(all="ignore"):

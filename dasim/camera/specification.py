@@ -143,10 +143,10 @@ def cropped(
 
     Args:
         camera: a Camera, a bundled name or a path
-        width_px: a multiple of the mosaic's width, at least 8 and at most the sensor's; InputError otherwise
+        width_px: in pixels, a multiple of the mosaic's width, at least 8 and at most the sensor's; InputError otherwise
         height_px: a multiple of the mosaic's height, within the same limits
-        at_px: (x, y) of the part's top left pixel, multiples of the mosaic's width and height; by default those
-            nearest to a central part's, towards the sensor's first pixel
+        at_px: (x, y) of the part's top left pixel, multiples of the mosaic's width and height; by default the part is
+            central, rounded down to whole blocks of the mosaic
     """
     camera = as_camera(camera)
     sensor = camera.sensor

@@ -172,7 +172,7 @@ def score(
             (16 bits, with --scale), or NAME=FOLDER
         split: the split to score
         out: a folder for leaderboard.html, .csv and .json, samples.csv and the results that are kept, or an fsspec
-            address; out/DATASET-SPLIT by default
+            address; out/NAME-SPLIT by default, with the name in the dataset's specification
         scale: metres per unit of the depth maps in folders
         metric: your own function of a depth map in metres and the truth, named like a method
         bank: a PSF bank for all samples; by default one is calibrated per camera and focus, and stored in the cache

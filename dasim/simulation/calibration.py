@@ -61,10 +61,11 @@ def calibration_captures(
     If axial colour distinguishes the two sides of the focus, levels behind the focus follow, with negative numbers.
 
     The kernels are those of the camera model (a path-traced point source converges too slowly for calibration). For
-    each light and level, the source lies at an unknown position within 32 periods of the mosaic of ``field_px``, where
-    its image is affected by the sensor's fixed pattern. The sensor model exposes it automatically to 85 % of full
-    scale, and longer (``EXPOSURES``). ``shift_px`` covers one period of the mosaic. The pictures do not depend on the
-    camera's frame, except through ``field_px``.
+    each light and level, the source is displaced at random from ``field_px`` by up to 32 periods of the mosaic, so that
+    its image falls on other pixels, with another fixed pattern; a calibration is not told this position. Each picture
+    is taken with the automatic exposure (85 % of full scale) and with multiples of its time
+    (``dasim.simulation.calibration.EXPOSURES``). ``shift_px`` covers one period of the mosaic. The pictures do not
+    depend on the camera's frame, except through ``field_px``.
 
     Args:
         camera: a Camera, a bundled name or a path; its own focus is used

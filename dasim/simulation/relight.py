@@ -45,10 +45,11 @@ def lit_by(scene: Scene | MitsubaScene | str | Path, illuminant: str) -> Scene:
 def exposed(
     shot: Shot, times: float, seed: int, *, longest_s: float = LONGEST_S, most_gain: float = MOST_GAIN
 ) -> Capture:
-    """A new capture of a shot at ``times`` its light level, held by hand, with the sensor noise of ``seed``.
+    """A shot exposed again, with all lights ``times`` as bright, as a hand-held camera would.
 
-    It is that of :func:`dasim.expose` with the bundled noise model. Automatic exposure sets the time, at most
-    ``longest_s`` seconds, then the analogue gain, at most ``most_gain``.
+    Automatic exposure sets the time, at most ``longest_s`` seconds; beyond that the analogue gain rises to at most
+    ``most_gain``, a factor. ``seed`` is the seed of the sensor noise, which is that of the bundled model. The result is
+    the capture alone; :func:`dasim.expose` also returns the truth and takes a fixed exposure.
     """
     exposure = hand_held(shot, times, longest_s, most_gain)
     return expose(shot, scale=times, exposure=exposure, seed=seed, noise=noise.expose).capture

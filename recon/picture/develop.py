@@ -58,10 +58,11 @@ def develop(
     Args:
         capture: the raw picture.
         settings: of noise reduction and infrared removal.
-        lights: names of the candidates of the white balance, one or more (:func:`dasim.illuminant_names` lists them),
-            by the camera's response curves; InputError for an unknown name.
+        lights: names of one or more illuminants (:func:`dasim.illuminant_names` lists them) among which white balance
+            chooses; the colour of white in each follows from the camera's response curves. InputError for an unknown
+            name.
         flat: a capture of a uniform surface, for the correction of the lens shading.
-        progress: called with the name of each stage and the share of stages before it, 0..1.
+        progress: called before each stage with its name and the share of stages completed, 0..1.
     """
     camera = capture.camera
     timings: dict[str, float] = {}

@@ -43,6 +43,7 @@ def test_prediction_and_training_compute_the_same():
     np.testing.assert_allclose(np.moveaxis(found, -1, 0), logits[0].numpy(), atol=0.02)
 
 
+@pytest.mark.slow
 def test_training_lowers_the_loss():
     data = made()
     losses = []
@@ -50,6 +51,7 @@ def test_training_lowers_the_loss():
     assert losses[-1] < 0.7 * losses[0]
 
 
+@pytest.mark.slow
 def test_a_network_that_is_trained_on_is_the_mean_of_both_and_better():
     """Set-up: a network after a few passes is trained on. Expectation: read from its arrays, it has these arrays; the
     loss is lower, and every weight lies in the middle between before and after.

@@ -44,6 +44,7 @@ def test_prediction_and_training_compute_the_same(monkeypatch):
     np.testing.assert_allclose(np.moveaxis(found, -1, 0), np.maximum(expected, 0), atol=2e-3)
 
 
+@pytest.mark.slow
 def test_training_lowers_the_loss():
     """Expectation: after 32 passes, half of the noise is gone, which is 6 dB in each of the two halves of the loss."""
     examples = made(16)
@@ -54,6 +55,7 @@ def test_training_lowers_the_loss():
     assert fit_pictures.mean_loss(net, draft) < before - 6
 
 
+@pytest.mark.slow
 def test_a_network_is_trained_on_from_given_weights():
     """Set-up: the wider network of seed 1. Expectation: the weights that it begins with are the given ones, and every
     weight of the result lies in the middle between before and after.
