@@ -44,8 +44,8 @@ class NoiseModel(Protocol):
     ``mean_e`` is [h, w] mean photo-electrons of the mosaic after electronic crosstalk, ``time_s`` the exposure time
     in seconds, ``gain`` the analogue gain. ``seed`` is the seed of the frame; ``sensor.sensor_seed`` is the seed of the
     fixed pattern, which all frames of a camera share, see :func:`dasim.camera.fixed_pattern.fixed_pattern`. The raw
-    numbers are uint16 [h, w], including the black level, at most 2^``sensor.adc_bits`` - 1. The same arguments must give the
-    same numbers. The bundled model is :func:`dasim.camera.noise.expose` (not :func:`dasim.expose`);
+    numbers are uint16 [h, w], including the black level, at most 2^``sensor.adc_bits`` - 1. The same arguments must
+    give the same numbers. The bundled model is :func:`dasim.camera.noise.expose` (not :func:`dasim.expose`);
     ``examples/noise_model.py`` is another one.
     """
 
