@@ -264,7 +264,9 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def _key(location: tuple[int | str, ...], data: Any) -> str:
-    """Key of a problem as in the user's file, without the kinds that pydantic inserts (stops.1.disc.radius_ratio)."""
+    """Key of a problem as in the user's file, with names instead of numbers where entries of a list have names
+    (stops.hole.radius_ratio), and without the kinds that pydantic inserts (stops.1.disc.radius_ratio).
+    """
     parts: list[str] = []
     after_kind = False
     for place, part in enumerate(location):
@@ -277,10 +279,19 @@ def _key(location: tuple[int | str, ...], data: Any) -> str:
             continue
         if part == "":
             break
-        parts.append(str(part))
+        parts.append(_name_of_entry(data, part) or str(part))
         after_kind = False
         try:
             data = data[part] if inside or isinstance(data, (list, tuple)) else None
         except (KeyError, IndexError, TypeError):
             data = None
     return ".".join(parts)
+
+
+def _name_of_entry(data: Any, part: int | str) -> str | None:
+    """Name of an entry of a list, as a key of TOML; None where it has none, or not alone."""
+    if not isinstance(data, (list, tuple)) or not isinstance(part, int) or part >= len(data):  # one may be missing
+        return None
+    names = [entry.get("name") if isinstance(entry, dict) else None for entry in data]
+    name = names[part]
+    return _toml_key(name) if isinstance(name, str) and name and names.count(name) == 1 else None

@@ -156,7 +156,7 @@ SCENE, CAMERA = dasim.load_scene("desk"), dasim.load_camera("da-mobile")
         (lambda: dasim.cropped("da-mobile", 96.5, 64), "width_px: a whole number of pixels is needed"),
         (lambda: dasim.refocused(None, 0.3), "not None"),
         (lambda: dasim.with_values("da-mobile", {"stops.hole.radius": 0.5}), "did you mean 'radius_ratio'?"),
-        (lambda: dasim.with_values("da-mobile", {"stops.hole.radius_ratio": 2.0}), "stops.1.radius_ratio: must be"),
+        (lambda: dasim.with_values("da-mobile", {"stops.hole.radius_ratio": 2.0}), "stops.hole.radius_ratio: must be"),
         (lambda: dasim.with_values(None, {}), "not None"),
         (lambda: dasim.refocused("da-mobile", "near"), "focus_distance_m"),
         (lambda: dasim.load_scene(None), "scene: the name of a scene or a path is needed, not None"),

@@ -40,13 +40,13 @@ def refusal(folder, text: str) -> str:
         ("f_number = 2.8", "f_number = -2.8", ["lens.f_number", "-2.8"]),
         ("focus_distance_m = 0.4", "focus_distance_m = 0.0036", ["lens", "focus_distance_m", "focal length"]),
         ("focus_distance_m = 0.4", "focus_distance_m = inf", ["lens.focus_distance_m"]),
-        ("radius_ratio = 0.46", "radius_ratio = 1.46", ["stops.1.radius_ratio"]),
-        ("[[650, 830]]", "[[650, 840]]", ["stops.1.passes_nm", "400 to 830"]),
-        ("[[650, 830]]", "[[650, 700], [690, 830]]", ["stops.1.passes_nm", "without overlap"]),
+        ("radius_ratio = 0.46", "radius_ratio = 1.46", ["stops.hole.radius_ratio"]),
+        ("[[650, 830]]", "[[650, 840]]", ["stops.hole.passes_nm", "400 to 830"]),
+        ("[[650, 830]]", "[[650, 700], [690, 830]]", ["stops.hole.passes_nm", "without overlap"]),
         ('name = "hole"', 'name = "open"', ["stops: names must be unique", "open, open"]),
         ("cutoff_nm = 810", "cutoff_nm = 840", ["sensor.cutoff_nm", "840"]),
         ("focus_distance_m = 0.4", "focus_distance_m = 0.4\nfocal_shift_um = [[900, 1]]", ["lens.focal_shift_um"]),
-        ("edge_width_nm = 8", "edge_width_nm = 0", ["stops.0.edge_width_nm"]),
+        ("edge_width_nm = 8", "edge_width_nm = 0", ["stops.open.edge_width_nm"]),
         ("width_px = 2048", "width_px = 2047", ["sensor", "2047 x 1536", "2 x 2 mosaic"]),
         ("width_px = 2048", "width_px = 2", ["sensor.width_px"]),
         ("pixel_pitch_um = 1.7", "pixel_pitch_um = 0", ["sensor.pixel_pitch_um"]),
@@ -72,40 +72,40 @@ def test_problems_are_named_in_one_line(tmp_path, old, new, message_part):
 @pytest.mark.parametrize(
     ("stop", "message_part"),
     [
-        ("radius_ratio = 0.46\ncentre_ratio = [0.5, 0.3]", "stops.1: the stop reaches outside the lens, to 1.043"),
+        ("radius_ratio = 0.46\ncentre_ratio = [0.5, 0.3]", "stops.hole: the stop reaches outside the lens, to 1.043"),
         (
             'shape = "annulus"\ninner_ratio = 0.2\nouter_ratio = 0.5\ncentre_ratio = [0.6, 0]',
-            "stops.1: the stop reaches outside the lens, to 1.1",
+            "stops.hole: the stop reaches outside the lens, to 1.1",
         ),
-        ('shape = "annulus"\ninner_ratio = 0.6\nouter_ratio = 0.5', "stops.1: inner_ratio must be below outer_ratio"),
+        ('shape = "annulus"\ninner_ratio = 0.6\nouter_ratio = 0.5', "stops.hole: inner_ratio must be below outer_ratio"),
         (
             'shape = "polygon"\ncorners_ratio = [[0, 0], [0.9, 0.9], [0, 0.5]]',
-            "stops.1.corners_ratio: the stop reaches outside the lens, to 1.273",
+            "stops.hole.corners_ratio: the stop reaches outside the lens, to 1.273",
         ),
         (
             'shape = "polygon"\ncorners_ratio = [[0, 0], [0.5, 0.5], [0.6, 0], [0, 0.5]]',
-            "stops.1.corners_ratio: is no simple polygon: its sides cross",
+            "stops.hole.corners_ratio: is no simple polygon: its sides cross",
         ),
         (
             'shape = "polygon"\ncorners_ratio = [[0, -0.9], [0.5, 0.7], [-0.8, -0.3], [0.8, -0.3], [-0.5, 0.7]]',
-            "stops.1.corners_ratio: is no simple polygon: its sides cross",
+            "stops.hole.corners_ratio: is no simple polygon: its sides cross",
         ),
-        ('shape = "polygon"\ncorners_ratio = [[0, 0], [0.5, 0.5], [0.2, 0.2]]', "stops.1.corners_ratio: is no simple"),
+        ('shape = "polygon"\ncorners_ratio = [[0, 0], [0.5, 0.5], [0.2, 0.2]]', "stops.hole.corners_ratio: is no simple"),
         (
             'shape = "mask"\nmask = [[1, 0, 0, 0], [0, 1, 1, 0], [0, 1, 1, 0], [0, 0, 0, 0]]',
-            "stops.1.mask: is open outside the lens",
+            "stops.hole.mask: is open outside the lens",
         ),
-        ('shape = "mask"\nmask = [[0, 0], [0, 0]]', "stops.1.mask: is closed everywhere"),
-        ('shape = "mask"\nmask = [[0, 2], [0, 0]]', "stops.1.mask.0.1: must be less than or equal to 1"),
+        ('shape = "mask"\nmask = [[0, 0], [0, 0]]', "stops.hole.mask: is closed everywhere"),
+        ('shape = "mask"\nmask = [[0, 2], [0, 0]]', "stops.hole.mask.0.1: must be less than or equal to 1"),
         ('shape = "mask"\nfile = "none.png"', "none.png: no such file"),
         ('shape = "mask"\nfile = "mine.toml"', "mine.toml: cannot be read as a picture"),
-        ('shape = "star"', "stops.1: "),
+        ('shape = "star"', "stops.hole: "),
     ],
 )
 def test_impossible_stops_are_refused(tmp_path, stop, message_part):
     """Expectation: one line with the stop's key as the file has it, for each shape."""
     message = refusal(tmp_path, SOURCE.replace("radius_ratio = 0.46", stop))
-    assert message_part in message and "stops.1" in message, message
+    assert message_part in message and "stops.hole" in message, message
 
 
 NM = tuple(range(400, 831, 10))

@@ -200,8 +200,8 @@ def test_coma_of_the_field_points_away_from_the_axis(da_mobile, down):
     [
         ({"wavefront_nm": {"spherical": 900}}, {}, "lens.wavefront_nm.spherical: must be less than or equal"),
         ({"wavefront_nm": {"tilt": 9}}, {}, "lens.wavefront_nm.tilt: unknown key"),
-        ({}, {"phase_nm": 2e4}, "stops.1.phase_nm: must be less than or equal to 10000"),
-        ({}, {"wavefront_nm": {"coma": "much"}}, "stops.1.wavefront_nm.coma: "),
+        ({}, {"phase_nm": 2e4}, "stops.hole.phase_nm: must be less than or equal to 10000"),
+        ({}, {"wavefront_nm": {"coma": "much"}}, "stops.hole.wavefront_nm.coma: "),
     ],
 )
 def test_refused_keys(da_mobile, lens, hole, message):
