@@ -25,7 +25,7 @@ def planes(raw_dn: np.ndarray) -> torch.Tensor:
 
 
 def model() -> nn.Module:
-    """Convolutions of growing dilation: each pixel sees some 130 pixels of the frame."""
+    """Convolutions of growing dilation: each estimate sees a square of 194 pixels of the frame."""
     layers: list[nn.Module] = [nn.Conv2d(4, WIDTH, 3, padding=1), nn.ReLU()]
     for block in range(BLOCKS):
         layers += [nn.Conv2d(WIDTH, WIDTH, 3, padding=2 ** min(block, 4), dilation=2 ** min(block, 4)), nn.ReLU()]

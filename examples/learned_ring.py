@@ -2,8 +2,9 @@
 
 The stop is a ring of two numbers, its inner and outer radius; at first it is the disc of da-mobile. Each step draws
 textured cards before textured boards, photographs them through the stop (with occlusion, infrared in the visible
-pixels, and noise), and moves the radii and the weights of the network down the same slope. The light that a ring passes
-follows from its area. The same network with the disc is trained beside, and both are compared on new pictures.
+pixels, and noise), and updates the radii and the weights of the network by gradient descent on one loss. The light that
+a ring passes follows from its area. The same network with the disc is trained beside, and both are compared on new
+pictures.
 
 python examples/learned_ring.py [STEPS]      600 steps take some minutes; needs the extra 'learn'
 """
@@ -24,7 +25,7 @@ BLURS_PX = np.linspace(1.0, 28.0, 10)  # visible blur diameters of cards and boa
 SIDE, MARGIN, BATCH = 96, 16, 12  # pixels of a picture and of its border that is cut off, pictures of a step
 CELLS, SOFT = 48, 0.03  # cells across the lens; width of the ring's soft edges in radii of the lens
 RATE, RADIUS_RATE = 2e-3, 2e-3
-ALONE = 1 / 3  # of the steps, in which the network learns alone: before, its slope says nothing of the stop
+ALONE = 1 / 3  # of the steps, in which the network learns alone: until then its gradient is no guide for the stop
 
 
 class Lens:

@@ -2,7 +2,7 @@
 
 python examples/read_shards.py out/tops/train-000000.tar
 
-Do not use webdataset's decode("pil"): it makes 8 bits of raw.png without a word, all numbers above 255 become 255.
+Do not use webdataset's decode("pil"): it silently converts raw.png to 8 bits, so values above 255 become 255.
 """
 
 from __future__ import annotations

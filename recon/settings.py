@@ -103,8 +103,10 @@ PRESETS = {
 DESCRIPTIONS = {
     "paper": "normalised cross-correlation of green and near-infrared, as in the paper",
     "likelihood": "the paper's windows and bank; levels scored by likelihood",
-    "best": "joint likelihood of green and near-infrared in windows of two sizes, joined over surfaces",
-    "fast": "as best, but large windows only, no depth network and one picture network: less accurate, twice as fast",
+    "best": "joint likelihood of green and near-infrared in windows of two sizes and the score bands, joined over "
+    "surfaces by two networks",
+    "fast": "as best in large windows only, without the score bands and the depth networks, and with one picture "
+    "network: less accurate, 2.5 times as fast",
     "bands": "transfer from near-infrared to red and green in bands of frequency, in patches that follow the surface",
     "chakrabarti-zickler": "colour lines, the closest prior work, with the same bank and windows",
 }

@@ -34,7 +34,7 @@ def describe(camera: Camera | str | Path) -> str:
         + "".join(f", {extra}" for extra in extras)
     ]
     for stop in camera.stops:
-        share = f"{stops.open_area(stop):.1%} of the open area"
+        share = f"{stops.open_area(stop):.1%} of the lens's area"
         lines.append(f"stop     {stop.name}: {_shape(stop)}, {share}, passes {_bands(stop)}")
     rows = " / ".join(" ".join(row) for row in sensor.mosaic)
     curves = "synthetic curves" if sensor.quantum_efficiency is None else "its own curves"

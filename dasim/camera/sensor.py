@@ -83,7 +83,12 @@ class Sensor(Specification):
             "depth, the default; with a table of response curves 0, since those of a sensor hold its crosstalk",
         )
     )
-    depletion_um: float = Field(default=2.0, ge=0, le=1000, description="depth from which a pixel loses no electrons")
+    depletion_um: float = Field(
+        default=2.0,
+        ge=0,
+        le=1000,
+        description="depth of the depleted layer; electrons released in it stay in their pixel",
+    )
 
     @model_validator(mode="before")
     @classmethod

@@ -48,7 +48,8 @@ class _Stop(Specification):
         default=0.0,
         ge=-MOST_PHASE_NM,
         le=MOST_PHASE_NM,
-        description="optical path through this opening less that through the coating around it, for the other stops",
+        description="optical path through this opening minus that through the coating around it: light of the other "
+        "stops has a phase step at its rim",
     )
     wavefront_nm: Wavefront = Field(
         default=Wavefront(), description="Zernike coefficients of this stop's light beside those of the lens"

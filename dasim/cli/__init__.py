@@ -94,7 +94,8 @@ def run(arguments: list[str]) -> int:
     except InputError as error:
         return _refuse(str(error))
     except cyclopts.CycloptsError as error:
-        return _refuse(" ".join(str(error).split()) + " (see 'dasim --help')")
+        command = " ".join(("dasim", *(error.command_chain or ())))
+        return _refuse(f"{' '.join(str(error).split())} (see '{command} --help')")
     except BrokenPipeError:  # the reader of the output has closed it
         _discard_output()
         return 128 + signal.SIGPIPE
@@ -114,7 +115,7 @@ def _left(arguments: list[str]) -> str:
         name = argument.rpartition("=")[2] if argument.startswith("--") else argument
         if last is not None and name and Path(name).resolve() == last.resolve():
             return f"{name} was written before and is complete"
-    return "no incomplete output is left"
+    return "no partly written file is left; datasets, scores and studies continue with the same command"
 
 
 def _discard_output() -> None:

@@ -60,7 +60,10 @@ def calibrate(
     if print_distances:
         return _print_distances(model)
     if captures is not None and (illuminant or diffraction or save_captures):
-        raise InputError("--captures: your own pictures determine lights and diffraction; omit the other option")
+        raise InputError(
+            "--captures: your own pictures determine lights and diffraction; omit --illuminant, --diffraction and "
+            "--save-captures"
+        )
     if save_captures is not None and out is not None:
         raise InputError("--save-captures: writes pictures and no bank; omit --out")
     if captures is None and format_ is not None:

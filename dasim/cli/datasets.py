@@ -49,9 +49,9 @@ def make(
     Args:
         spec: a TOML file, or the name of a bundled specification: dasim-bench
         out: a folder, out/NAME by default, or an fsspec address such as s3://bucket/folder
-        first: make the first samples alone, each as it is among all
+        first: make only the first samples; each is identical to that of the whole dataset
         dry_run: print the plan and an estimate of its cost from three small renders, without making samples
-        jobs: processes of the local executor; by default four per graphics card, or one per core
+        jobs: processes of the local executor; by default one per core, with graphics cards at most four per card
         executor: local, or ray for the nodes of a Ray cluster (needs the extra 'cluster')
         address: address of Ray: auto, or ray://host:port
         shard: K/N makes the K-th of N parts of the shards, for batch schedulers; the last to end finishes the dataset
@@ -231,9 +231,9 @@ def export(
 ) -> int:
     """Write a dataset in the layout of others, with README.md on its conventions; nothing is left if it is stopped.
 
-    hdf5 has all that the dataset has. coco, bop and nyu have colour pictures with labels, depth and poses. stack has
-    one folder per scene with its captures at several focus distances and f-numbers. croissant describes the dataset in
-    a file croissant.json in it, without --out.
+    hdf5 has all that the dataset has. coco and bop have colour pictures with labels, depth and poses; nyu has the same
+    without poses. stack has one folder per scene with its captures at several focus distances and f-numbers. croissant
+    describes the whole dataset in a file croissant.json in its folder and takes no --out.
 
     Args:
         dataset: its folder or fsspec address

@@ -44,7 +44,7 @@ def expose(
         lux: illuminance of all lights of the scene together, each changed by the same factor
         scale: factor on the illuminance of all lights instead, also those of a Mitsuba scene
         gain: analogue gain; by default that of the capture
-        seed: of the sensor's noise from frame to frame; by default that of the capture
+        seed: seed of the temporal noise of the first frame; by default that of the capture
         frames: frames of a burst at each time, with independent noise
         noise: your own noise model, package.module:function or file.py:function
     """

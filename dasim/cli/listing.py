@@ -34,8 +34,8 @@ def list_(
     Args:
         kind: scenes, cameras, materials, illuminants, datasets, claims, studies, methods or presets
         verbose: print more detail
-        plot: of cameras, write the page of each, as 'dasim camera' does
-        out: with --plot, the folder of the cameras' folders
+        plot: for cameras, also write the page of each camera, as 'dasim camera' does
+        out: with --plot, output folder, with one folder per camera
     """
     if kind not in KINDS:
         what = f"list '{kind}' is unknown" if kind else "list: the kind is missing"
@@ -197,7 +197,7 @@ def _list_methods(*, verbose: bool) -> None:
     for name in recon.METHODS:
         default = " (the default)" if name == DEFAULT_PRESET else ""
         print(f"{name:<22}{DESCRIPTIONS[name]}{default}")
-    print(f"{'learned':<22}a network that sees the planes of the mosaic alone (needs the extra 'learn')")
+    print(f"{'learned':<22}a network that sees the mosaic, its noise and the hole's size (needs the extra 'learn')")
     if verbose:
         print("your own: package.module:function or file.py:function, from a Capture and a PsfBank to a DepthEstimate")
 

@@ -193,8 +193,8 @@ def seconds(option: str, text: str, *others: str) -> float:
     try:
         return float(above) / (float(below) if slash else 1.0)
     except (ValueError, ZeroDivisionError):
-        allowed = ", or ".join(("seconds such as 0.02 or 1/60", *others))
-        raise InputError(f"{option} {shortened(text)} is no time; {allowed}, are allowed") from None
+        allowed = ", or ".join(("seconds, such as 0.02 or 1/60", *others))
+        raise InputError(f"{option} {shortened(text)}: must be {allowed}") from None
 
 
 def place(option: str, text: str) -> tuple[float, float]:

@@ -45,16 +45,16 @@ def render(
         out: output capture folder, out/SCENE by default; an earlier capture there is replaced
         camera: a bundled name (see 'dasim list cameras') or a TOML file
         focus: focus distance in metres; by default the scene's, else the camera's
-        seed: seed of all random numbers
+        seed: seed of rendering and of temporal sensor noise; the fixed pattern has its own, sensor.sensor_seed
         size: WxH pixels, a central crop of the sensor at unchanged pixel pitch
         spp: samples per pixel and stop, by default 64; or auto: as many as --noise-share requires
         noise_share: target of --spp auto: ratio of rendering noise to sensor noise in each channel; 0.25 by default
-        noise_at: percentile of the pixels at which --noise-share is meant: 50, the median, by default; at 95, one pixel
+        noise_at: percentile of the pixels to which --noise-share applies; 50, the median, by default; at 95, one pixel
             in twenty has more rendering noise
         independent_mean: give mean_e samples of its own, so that its rendering noise is independent of that of raw.png;
             takes about twice as long
         exposure: exposure time in seconds, such as 0.02 or 1/60; automatic by default
-        diffraction: wave, airy or off
+        diffraction: wave, airy or off; by default wave, and airy with scalar_spectral, which has no wave
         noise: your own noise model, package.module:function or file.py:function, such as examples/noise_model.py
         variant: Mitsuba variant: auto, cuda_ad_spectral, llvm_ad_spectral or scalar_spectral
         unit_cm: for a Mitsuba XML file, the length of its unit in cm; 100 by default
@@ -164,7 +164,7 @@ def emva(
         camera: a bundled name or a TOML file; its lens is not used
         channel: channel whose pixels are measured: R, G, B or IR
         gain: analogue gain; a high gain resolves read noise below the rounding step, but clips before the full well
-        seed: seed of all random numbers
+        seed: seed of the temporal noise; the fixed pattern has its own, sensor.sensor_seed
         size: WxH pixels of the frames
     """
     import dasim

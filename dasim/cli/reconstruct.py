@@ -53,7 +53,8 @@ def recon(
         focus: for a raw file, focus distance in metres; the camera's by default
         bank: a PSF bank; by default one is calibrated for the camera and focus of the capture and stored in the cache
         preset: best (the default), fast, bands, paper, likelihood or chakrabarti-zickler
-        settings: a TOML file with settings that differ from the preset paper, as --print-settings writes it
+        settings: a TOML file of settings, as --print-settings writes it; those left out have the values of the preset
+            paper; excludes --preset
         print_settings: print the settings as TOML with their meanings, and exit
         flat: a capture of a uniform surface that fills the frame, to correct lens shading in the pictures; in the
             format of the capture
@@ -84,8 +85,8 @@ def recon(
         model = dasim.refocused(model, focus)
     if flat is not None and flat.is_dir() != capture.is_dir():
         raise InputError(
-            f"--flat {flat}: is a {'folder' if flat.is_dir() else 'file'}, capture {capture} is not; "
-            "both have the same format"
+            f"--flat {flat}: is a {'folder' if flat.is_dir() else 'file'}, capture {capture} is not; give a flat in "
+            "the format of the capture"
         )
     time_s = None if exposure is None else options.seconds("--exposure", exposure)
     shot, even = (

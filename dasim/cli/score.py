@@ -70,14 +70,18 @@ def score(
         truth = load_truth(result)
         with options.progress() as progress:
             figures = score_methods(photo, truth, bank_of(bank, photo, progress), methods, metrics)
-    elif capture is None or bank is not None:
-        raise InputError("score: needs a reconstruction or depth map and its capture; --bank applies to --method")
+    elif bank is not None:
+        raise InputError("score: --bank applies to --method; omit it, or give --method with the capture folder")
+    elif capture is None:
+        raise InputError("score: give the capture folder, or measured depths, after RESULT (see 'dasim score --help')")
     elif capture.is_file() and capture.suffix.lower() in SUFFIXES:
-        if confidence is not None or metrics or not result.is_dir():
+        if not result.is_dir():
             raise InputError(
-                f"{capture}: measured depths are compared with a reconstruction folder, which contains the camera; "
-                "omit --confidence and --metric"
+                f"{result}: is not a reconstruction folder, with which the measured depths in {capture} are compared; "
+                "make one with 'dasim recon'"
             )
+        if confidence is not None or metrics:
+            raise InputError(f"{capture}: measured depths allow neither --confidence nor --metric; omit them")
         figures = score_measured(load_reconstruction(result), read_depth(capture, scale))
     elif result.is_file() or result.suffix.lower() in SUFFIXES:
         depth_m = read_depth(result, scale)
@@ -86,13 +90,16 @@ def score(
         figures = scores.score_map(depth_m, photo, load_truth(capture), trust, metrics=metrics)
     else:
         if confidence is not None or scale is not None:
-            raise InputError("--confidence and --scale apply to a depth map; a reconstruction folder contains both")
+            raise InputError(
+                "--confidence, --scale: apply to a depth map; a reconstruction folder has its confidence, and depth in "
+                "metres; omit them"
+            )
         rebuilt = load_reconstruction(result)
         photo = load_capture(capture)  # also checks that the capture is complete
         truth = load_truth(capture)
         _check_sensor(rebuilt.camera.sensor, photo.camera.sensor, result, capture)
         if not truth.has("sharp_e"):
-            print("note: the truth lacks sharp_e, so that pictures are not scored (a dataset's key truth.keep)")
+            print("note: the truth has no sharp_e, so pictures are not scored; add it to truth.keep of the dataset")
         figures = scores.score(rebuilt, photo, truth, metrics=metrics)
     for name in [f"{own}." for own in methods] or [""]:
         print(f"method {name[:-1]}" if name else "", end="\n" if name else "")

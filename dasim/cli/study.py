@@ -55,7 +55,7 @@ def sweep(
         quick: measure only the study's most informative points
         method: a further depth method for the parameter recon.preset: a bundled name, or your function as
             package.module:function or file.py:function
-        jobs: processes of the local executor; by default four per graphics card, or one per core
+        jobs: processes of the local executor; by default one per core, with graphics cards at most four per card
         executor: local, or ray for a cluster (extra 'cluster')
         address: address of Ray: auto, or ray://host:port
         variant: Mitsuba variant, auto by default
@@ -119,7 +119,8 @@ def bound(
         count: number of distances, evenly spaced in dioptres
         light: illuminant
         lux: illuminance in lux
-        texture: knowledge of the texture: all but its phases (known), its spectrum up to a factor, or nothing (free)
+        texture: what is known of the texture: its power spectrum, strength and gains (known), the shape of its spectrum
+            (spectrum), or nothing (free)
         channels: channels that are compared, the one with the sharp texture first
         json_file: also write the bound, with the camera and the conditions, to this file
         csv_file: also write the table to this file

@@ -71,7 +71,7 @@ def _view_of_reconstruction(folder: Path, capture: Path | None, bank: Path | Non
         capture = page.capture_beside(folder, rebuilt)
     shot, truth = (None, None) if capture is None else page.capture_of(capture)
     if shot is None:
-        print("note: no capture is known, so that the page has no mosaic and no truth; --capture names it")
+        print("note: no capture found, so the page has no mosaic and no truth; give the capture with --capture")
     else:
         page.check_same(rebuilt, shot, str(capture))
     with options.progress() as progress:

@@ -128,7 +128,7 @@ def statistics(rows: list[dict[str, Any]]) -> list[str]:
 
     depth, blur = (np.sum([row[f"{what}_histogram"] for row in rows], axis=0) for what in ("depth", "blur"))
     return [
-        f"samples: {len(rows)} of {len({row['scene'] for row in rows})} scenes; {counts('split')}",
+        f"samples: {len(rows)}, scenes: {len({row['scene'] for row in rows})}; {counts('split')}",
         f"cameras: {counts('camera')}",
         f"lights: {counts('illuminant')}",
         f"depth of all pixels: {_quantiles(depth, DEPTH_EDGES_M, 'm')}",
@@ -138,7 +138,7 @@ def statistics(rows: list[dict[str, Any]]) -> list[str]:
         f"behind the focus: {spread('far_side_share', '%', 100)}; "
         f"near depth discontinuities: {spread('boundary_share', '%', 100)}",
         f"standard deviation of rendering noise over that of sensor noise, worst channel: {spread('noise_share', '')} "
-        f"at a sample's median pixel, {spread('noise_share_p95', '')} at its percentile 95",
+        f"at a sample's median pixel, {spread('noise_share_p95', '')} at its 95th percentile",
         f"size: {sum(row['bytes'] for row in rows) / 1e9:.3g} GB",
     ]
 

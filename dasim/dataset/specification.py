@@ -54,7 +54,7 @@ class DatasetSpec(Specification):
         default=None,
         ge=1,
         le=MOST_SAMPLES,
-        description="make the first samples alone, each as it is among all, in its split",
+        description="make only the first samples; each is identical to that of the whole dataset, and in its split",
     )
     seed: int = Field(default=0, ge=0, lt=2**63)
     size_px: tuple[Pixels, Pixels] = Field(
@@ -78,7 +78,7 @@ class DatasetSpec(Specification):
         default=NOISE_AT,
         ge=PERCENTILE[0],
         le=PERCENTILE[1],
-        description="percentile of the pixels at which noise_share is meant, 50 the median",
+        description="percentile of the pixels to which noise_share applies; 50 is the median",
     )
     diffraction: Literal["wave", "airy", "off"] | None = None
     noise: str | None = Field(

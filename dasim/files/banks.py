@@ -116,7 +116,7 @@ def _check_tables(path: Path, arrays: dict[str, NDArray], lights_and_channels: t
     if any(arrays[name].shape != (levels,) for name in ("depth_m", "blur_px")):
         raise InputError(f"bank {path}: its tables do not fit its lights and levels")
     if any(array.dtype.kind not in "iuf" for array in arrays.values()):
-        raise InputError(f"bank {path}: has values that are no numbers")
+        raise InputError(f"bank {path}: has values that are not numbers; make a new one with 'dasim calibrate'")
     if not all(np.isfinite(array).all() for array in arrays.values()):
         raise InputError(f"bank {path}: has values that are not finite")
     if np.abs(kernel).max() > LARGEST_KERNEL:
@@ -129,5 +129,8 @@ def _check_order(path: Path, arrays: dict[str, NDArray], *, nearer: bool) -> Non
     """Raise InputError unless blur grows from level to level, and depth falls (``nearer``) or grows with it."""
     blur, depth = np.diff(np.abs(arrays["blur_px"])), np.diff(arrays["depth_m"])
     if (blur <= 0).any() or ((depth >= 0) if nearer else (depth <= 0)).any():
-        way = "nearer" if nearer else "farther"
-        raise InputError(f"bank {path}: its levels are out of order; each must be blurred more, and lie {way}")
+        way = "nearer to" if nearer else "farther from"
+        raise InputError(
+            f"bank {path}: levels are out of order; each must have more blur than the one before, and lie {way} the "
+            "lens; make a new one with 'dasim calibrate'"
+        )

@@ -41,8 +41,8 @@ OF_A_FRAME = (  # entries of the provenance that the exposure decides
     *("noise", "exposure", "saturated_pixels", "notes"),
 )
 SHARED_NOISE = (
-    "mean_e had samples of its own when it was rendered, those of raw.png are not kept: raw.png repeats the rendering "
-    "noise of mean_e"
+    "mean_e was rendered with samples of its own, and the samples of raw.png are not stored: the new raw.png repeats "
+    "the rendering noise of mean_e"
 )
 
 

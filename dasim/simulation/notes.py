@@ -48,7 +48,8 @@ def sampling_notes(sampling: dict[str, Any]) -> list[str]:
         samples, at = max(sampling["spp"].values()), sampling["rendering_noise_at"]
         notes.append(
             f"{samples} samples were not enough: rendering noise over the sensor's own is {listed} at percentile "
-            f"{at:g} of the pixels"
+            f"{at:g} of the pixels, above the target of {wanted:g}; render again with a larger --spp, or raise "
+            "--noise-share"
         )
     return notes
 
@@ -61,6 +62,6 @@ def noise_notes(sampling: dict[str, Any]) -> list[str]:
         return []
     listed = ", ".join(f"{name} {share:.2f} (median {shares['50'][name]:.2f})" for name, share in high.items())
     return [
-        f"rendering noise exceeds half of the sensor's own: {listed} of it at percentile 95 of the pixels with "
+        f"rendering noise exceeds half of the sensor's own at percentile 95 of the pixels: {listed}, with "
         f"{sampling['spp']} samples; take more, or spp 'auto' with noise_at 95 (--spp auto --noise-at 95)"
     ]

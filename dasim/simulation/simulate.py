@@ -64,7 +64,7 @@ def simulate(
     Args:
         scene: a Scene or MitsubaScene, or the name or path of one: ``dasim.simulate("desk", "da-mobile")``
         camera: a Camera, a bundled name or a path
-        seed: seed of all random numbers, 0 or above
+        seed: seed of rendering and of temporal sensor noise, 0 or above; ``sensor.sensor_seed`` is that of the pattern
         spp: samples per pixel and stop, or ``auto``: as many as are needed to bring the rendering noise below
             ``noise_share``
         noise_share: limit of the rendering noise relative to the sensor noise, in every channel

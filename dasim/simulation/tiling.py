@@ -56,7 +56,9 @@ def tiled(tiles: Sequence[tuple[Capture, Truth]], width_px: int, height_px: int)
     left = (width - width_px) // 2 // cell_width * cell_width
     part = (slice(top, top + height_px), slice(left, left + width_px))
     if rings(first.camera).place[height // 2, width // 2] > 1:
-        raise InputError("tiles: are from off the axis, where the sensor's colours differ; take frames around it")
+        raise InputError(
+            "tiles: the parts lie off the optical axis, where filter edges shift; give captures centred on the axis"
+        )
 
     def stack(*images: np.ndarray) -> np.ndarray:
         return np.concatenate([image[part] for image in reversed(images)])

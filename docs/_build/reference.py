@@ -63,7 +63,7 @@ PAGES = (
         "Reconstruction",
         (Settings,),
         "The file of `dasim recon --settings`; `--print-settings` writes it. Keys that are left out have the values of "
-        "`--preset`; the defaults below are those of the preset `paper`.",
+        "the preset `paper`, which are the defaults below. `--settings` and `--preset` exclude each other.",
     ),
     FilePage(
         "dataset",

@@ -94,7 +94,7 @@ def read_point_pictures(
         more = f"; and {len(problems) - MOST_PROBLEMS} more" if len(problems) > MOST_PROBLEMS else ""
         raise InputError(f"captures {folder}: {first}{more}")
     return PicturesWithNotes(
-        pictures, (f"signal-to-noise ratio at least {worst[0]:.3g} ({worst[1]})", *few_positions(lines))
+        pictures, (f"lowest signal-to-noise ratio: {worst[0]:.3g} ({worst[1]})", *few_positions(lines))
     )
 
 

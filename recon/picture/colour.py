@@ -87,7 +87,8 @@ def light_notes(raw_e: Float32Array, saturated: NDArray, camera: Camera, bank: P
         return ()
     return (
         f"the picture's white is far from every light of the bank ({', '.join(bank.lights)}), the nearest is "
-        f"{bank.lights[nearest]}; for another light, add it to the bank with 'dasim calibrate --illuminant'",
+        f"{bank.lights[nearest]}; for another light, make a bank that has it ('dasim calibrate --illuminant NAME "
+        "--out BANK', for a real camera with --captures) and give it with --bank",
     )
 
 

@@ -220,7 +220,7 @@ def test_the_depth_is_scored(bench):
     [
         (("--captures", "pinhole", "--illuminant", "A"), "determine lights and diffraction"),
         (("--captures", "pinhole", "--diffraction", "off"), "determine lights and diffraction"),
-        (("--captures", "pinhole", "--save-captures", "new"), "omit the other option"),
+        (("--captures", "pinhole", "--save-captures", "new"), "omit --illuminant, --diffraction"),
         (("--format", "raw12"), "give their folder with --captures"),
         (("--captures", "none"), "no table captures.csv"),
         (("--captures", "pinhole", "--focus", "0.2"), "is not the distance of a level"),

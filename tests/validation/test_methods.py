@@ -252,7 +252,7 @@ def test_score_in_python_takes_a_metric(shot, bank):
         (["--metric", "mine.py:none", "--method", "bands"], ("mine.py", "none")),
         (["--metric", "mine.py:broken", "--method", "flat=mine.py:constant"], ("metric 'broken'", "IndexError")),
         (["--method", "bands", "--gates", "claims.toml"], ("depth.bands.desk.raw", "score")),
-        ([], ("needs", "capture")),
+        ([], ("--bank applies to --method", "omit it")),
     ],
 )
 def test_wrong_scores_are_refused_in_one_line(capture, capsys, arguments, message):

@@ -181,7 +181,7 @@ def figures(rows: Sequence[Row], board: Sequence[Entry]) -> list[Figure]:
     for method in ranked(rows):
         own = [row for row in rows if row["method"] == method]
         coverage = float(np.mean([row["coverage"] for row in own if row["coverage"] is not None] or [np.nan]))
-        text = "no better than the best constant map"
+        text = "failed, or no better than the best constant map"
         found += [
             Figure(f"{method}.coverage", coverage, "1", "mean share of pixels with an estimate of their own"),
             Figure(f"{method}.failed", float(sum(row["failed"] is not None for row in own)), "samples", "failed"),

@@ -90,7 +90,7 @@ def _depth_rows(shot: Shot, result: Reconstruction, depth_of: Any) -> list[Row]:
     ]
     raw = [
         ("Confidence of the estimate", confidence),
-        ("Before regularisation; grey: no edge, no estimate", depth_of(raw_m)),
+        ("Before regularisation; grey: no estimate", depth_of(raw_m)),
         ("Its error", error(result.level_raw)),
     ]
     return [Row(regularised), Row(raw)]

@@ -33,13 +33,13 @@ class _Words(NamedTuple):
 
 _FIGURES = {
     "raw.all.coverage": _Words("pixels with an estimate of depth, before regularisation", 100, 0, " %"),
-    "raw.all.level-median": _Words("median error of depth, in steps of 1.85 px of blur", 1, 2, " levels"),
-    "raw.all.level-ratio": _Words("of the median error of the best constant depth", 100, 0, " %"),
+    "raw.all.level-median": _Words("median depth error where estimated; a level is 1.85 px of blur", 1, 2, " levels"),
+    "raw.all.level-ratio": _Words("median error relative to the best constant depth map", 100, 0, " %"),
     "regularised.all.abs-rel": _Words("mean error of the depth map, relative to the distance", 100, 0, " %"),
-    "regularised.error-surer-half": _Words("mean error of the half with the higher confidence", 1, 2, " levels"),
+    "regularised.error-surer-half": _Words("mean depth error, half with the higher confidence", 1, 2, " levels"),
     "all-in-focus.blurred.psnr-gain": _Words("gain of the all-in-focus picture where it was blurred", 1, 1, " dB"),
-    "all-in-focus.blurred.ssim": _Words("structural similarity of the all-in-focus picture to the truth", 1, 2, ""),
-    "all-in-focus.blurred.ciede2000": _Words("mean colour difference between these, CIEDE2000", 1, 1, ""),
+    "all-in-focus.blurred.ssim": _Words("SSIM of the all-in-focus picture, blurred regions", 1, 2, ""),
+    "all-in-focus.blurred.ciede2000": _Words("mean colour error there, CIEDE2000", 1, 1, ""),
 }  # fmt: skip
 IDS = tuple(_FIGURES)
 

@@ -180,7 +180,12 @@ def confidence_figures(
     return [
         Figure(f"{name}.sparsification", area, "level", "AUSE: area between sparsification curve and oracle's"),
         Figure(f"{name}.error-all", float(curve[1][0]), "level", "mean |l - l*|"),
-        Figure(f"{name}.error-surer-half", float(curve[1][half]), "level", "mean |l - l*|, the surer half"),
+        Figure(
+            f"{name}.error-surer-half",
+            float(curve[1][half]),
+            "level",
+            "mean |l - l*| of the half of the pixels with the higher confidence",
+        ),
     ]
 
 

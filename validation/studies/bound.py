@@ -74,7 +74,7 @@ def lines(camera: Camera, patch: Patch, table: Sequence[Row]) -> Iterator[str]:
         f"{camera.name}, focus {camera.lens.focus_distance_m:g} m, {patch.light}, {patch.lux:g} lux, channels "
         f"{', '.join(patch.channels)}, texture {patch.texture}: least standard deviation in a patch of 31 px"
     )
-    yield f"{'depth':>9}  {'blur':>8}  {'levels':>8}  {'dioptres':>9}  {'depth':>10}"
+    yield f"{'distance':>9}  {'blur':>8}  {'sd level':>8}  {'sd 1/m':>9}  {'sd depth':>10}"
     for row in table:
         yield (
             f"{100 * row.depth_m:6.2f} cm  {row.blur_px:5.1f} px  {row.levels:8.3f}  {row.dioptres:9.4f}  "

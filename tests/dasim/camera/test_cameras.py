@@ -190,5 +190,5 @@ def test_list_describes_every_camera(capsys):
         assert block.startswith(f"{name} ")
         assert block.count("    stop ") == len(cameras.load_camera(name).stops)
         assert ("eq. (8)" in block) == name.startswith("da-")
-    assert "hole: disc of 0.46, 21.2% of the open area, passes 650-830 nm" in blocks["da-mobile"]
+    assert "hole: disc of 0.46, 21.2% of the lens's area, passes 650-830 nm" in blocks["da-mobile"]
     assert "centred at (-0.433, 0.25)" in blocks["bando"] and "400-496 and 590-830" in blocks["chakrabarti-zickler"]

@@ -51,7 +51,7 @@ def test_make_verify_info(command, tmp_path):
     status, output, _ = command("verify", out)
     assert status == 1 and "README.md: its checksum differs" in output and "1 problem\n" in output
     status, output, _ = command("info", out, "--plot", tmp_path / "plot.png")
-    assert status == 0 and "samples: 6 of 1 scenes" in output and "lights: D65 6" in output
+    assert status == 0 and "samples: 6, scenes: 1" in output and "lights: D65 6" in output
     assert cv2.imread(str(tmp_path / "plot.png")).std() > 1
     assert command("info", out, "--plot", tmp_path / "plot.pdf")[0] == 2
 

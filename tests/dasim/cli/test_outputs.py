@@ -90,7 +90,7 @@ def test_outputs_by_default(here, capsys):
     assert names == {"shot", "shot-recon", "shot-recon-0.2m.png", "shot.dng", "shot-linear.dng", "shot-exposed"}
     capsys.readouterr()
     assert run(["view", "out/shot-recon", "--bank", "bank.npz", "--slices", "2"]) == 0
-    assert "no capture is known" not in capsys.readouterr().out and (here / "out" / "shot-recon-view.html").is_file()
+    assert "no capture found" not in capsys.readouterr().out and (here / "out" / "shot-recon-view.html").is_file()
 
 
 @pytest.mark.parametrize("target", ["target", "nowhere"])

@@ -42,6 +42,11 @@ def test_render_recon_score_round_trip(shop, capsys):
         (("score", "result", "nowhere"), ("nowhere",)),
         (("score", "result", "shot", "--json", "no/folder.json"), ("no/folder.json",)),
         (("score", "result", "shot", "--json", "same", "--junit", "same"), ("--json and --junit", "two files")),
+        (("score", "result"), ("give the capture folder",)),
+        (("score", "result", "shot", "--bank", "bank.npz"), ("--bank applies to --method",)),
+        (("score", "result", "shot", "--scale", "1"), ("--scale", "apply to a depth map")),
+        (("score", "bank.npz", "shot/raw.png"), ("bank.npz", "is not a reconstruction folder", "dasim recon")),
+        (("score", "result", "shot/raw.png", "--confidence", "x.npy"), ("neither --confidence nor --metric",)),
     ],
     ids=lambda value: " ".join(value) if value and isinstance(value[0], str) else None,
 )

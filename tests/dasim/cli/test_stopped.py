@@ -62,7 +62,8 @@ def test_stopped_after_the_output_was_written(is_written, form, tmp_path, monkey
     assert said == (
         f"dasim: stopped; {out} was written before and is complete\n"
         if is_written
-        else "dasim: stopped; no incomplete output is left\n"
+        else "dasim: stopped; no partly written file is left; datasets, scores and studies continue with the same "
+        "command\n"
     )
 
 

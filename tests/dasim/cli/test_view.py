@@ -13,7 +13,7 @@ def test_view_writes_a_page(shop, tmp_path, capfd):
     arguments = ["view", str(shop / "result"), "--bank", str(shop / "bank.npz"), "--slices", "2", "--out", str(out)]
     assert run(arguments) == 0
     alone = out.read_text(encoding="utf-8")
-    assert "--capture names it" in capfd.readouterr().out
+    assert "give the capture with --capture" in capfd.readouterr().out
     assert '"f_number":2.8' in alone and '"mosaic":null' in alone
     assert run([*arguments, "--capture", str(shop / "shot")]) == 0
     whole = out.read_text(encoding="utf-8")

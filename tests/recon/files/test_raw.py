@@ -164,7 +164,7 @@ WRONG = {
     "8 bits": (np.full((64, 96), 100, np.uint8), "has 8 bits"),
     "colour": (np.zeros((64, 96, 3), np.uint16), "one number per pixel"),
     "odd": (np.zeros((63, 96), np.uint16), "not a multiple of the 2 x 2 mosaic"),
-    "text": (np.full((64, 96), "a"), "whole numbers"),
+    "text": (np.full((64, 96), "a"), "integers"),
     "empty": (np.zeros((0, 0), np.uint16), "height_px"),
 }
 

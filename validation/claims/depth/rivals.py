@@ -1,4 +1,4 @@
-"""Claim on other single-shot cameras: which tells depth best from the same photons, and in which light."""
+"""Claim on other single-shot cameras: which tells depth best in the same light, from 100 to 10,000 lux."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Measured(NamedTuple):
 
 
 def rivals(progress: ShareDone) -> Evidence:
-    """Depth and sharpness of seven single-shot designs on the same photons, from 100 to 10,000 lux.
+    """Depth and sharpness of seven single-shot designs at the same illuminance, from 100 to 10,000 lux.
 
     Rationale: whoever chooses a camera asks for the alternatives: another aperture for one colour, axial colour, dual
     pixels, a coded aperture.
@@ -161,7 +161,7 @@ def rivals(progress: ShareDone) -> Evidence:
     ]
     caption = "Median error of depth against the light, one window of 31 px at a time"
     return Evidence(figures, pictures=[(f"{caption}: {name}", _picture(curves)) for name, curves in errors.items()],
-                    tables=[("Designs on the same photons", head, rows)])  # fmt: skip
+                    tables=[("Designs at the same illuminance", head, rows)])  # fmt: skip
 
 
 def boards() -> Scene:

@@ -54,10 +54,10 @@ class Finding:
 
     @property
     def verdict(self) -> str:
-        """The reference's rank: best, statistically tied with the best, or worse."""
+        """The reference's rank: best, not significantly worse than the best, or worse."""
         if self.cost == 0:
             return "best"
-        return "worse" if self.clear else "statistically tied with the best"
+        return "worse" if self.clear else "not significantly worse than the best"
 
 
 def findings(spec: StudySpec, rows: list[Row]) -> list[Finding]:
@@ -142,14 +142,16 @@ def sentences(spec: StudySpec, all_findings: list[Finding]) -> list[str]:
         parts = []
         if len(of_figure) == 1:
             costs = (
-                f", {reference} is worse by {_cost(of_figure[0])}" if worse else f", {reference} is statistically tied"
+                f", {reference} is worse by {_cost(of_figure[0])}"
+                if worse
+                else f", {reference} is not significantly worse"
             )
             where = f" for {_where(of_figure[0].others)}" if of_figure[0].others else ""
             parts.append(f"{of_figure[0].best} is best{where}" + ("" if best else costs))
         else:
             parts += [f"{reference} is best in {len(best)} of {len(of_figure)} cases"] if best else []
             parts += (
-                [f"{reference} is statistically tied with the best in {len(tied)} of {len(of_figure)} cases"]
+                [f"{reference} is not significantly worse than the best in {len(tied)} of {len(of_figure)} cases"]
                 if tied
                 else []
             )
