@@ -71,7 +71,7 @@ def parsed(text: str) -> NamedMethod:
     if equals and ":" not in name and "/" not in name:
         if not NAME.fullmatch(name):
             raise InputError(
-                f"method '{text}': '{name}' is no name; allowed are letters, digits, - and _, a letter first"
+                f"method '{text}': '{name}' is not a valid name; allowed are letters, digits, - and _, a letter first"
             )
         if name in (*recon.METHODS, *OPTIONAL):
             raise InputError(f"method '{text}': '{name}' is the name of a bundled method; choose another name")

@@ -295,11 +295,11 @@ def triangles(corners_ratio: tuple[Point, ...]) -> FloatArray:
                 left.pop(place)
                 break
         else:
-            raise ValueError("is no simple polygon: its sides cross or corners fall together")
+            raise ValueError("is not a simple polygon: its sides cross or corners fall together")
     result = np.array([*cut, points[left]])
     whole = abs(_turn(points, np.roll(points, -1, axis=0))) / 2
     if whole <= _ROUNDING or abs(triangle_areas(result).sum() - whole) > 1e-6 * whole:
-        raise ValueError("is no simple polygon: its sides cross or it has no area")
+        raise ValueError("is not a simple polygon: its sides cross or it has no area")
     return result
 
 

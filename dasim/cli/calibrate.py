@@ -154,5 +154,5 @@ def _check_bank_output(out: Path) -> None:
         try:
             load_bank(out)
         except InputError:
-            raise InputError(f"output {out}: exists and is no PSF bank; choose another name") from None
+            raise InputError(f"output {out}: exists and is not a PSF bank; choose another name") from None
     check_output_file(out)

@@ -110,7 +110,7 @@ def manifest(out: str) -> dict[str, Any]:
     try:
         content = storage.read(out, MANIFEST)
     except (FileNotFoundError, NotADirectoryError):
-        raise InputError(f"{out}: is no dataset, it has no {MANIFEST}") from None
+        raise InputError(f"{out}: is not a dataset, because it has no {MANIFEST}") from None
     try:
         data = json.loads(content)
         schema = int(data["schema"])
@@ -129,7 +129,7 @@ def begin(out: str, new: dict[str, Any]) -> None:
     if not storage.exists(out, MANIFEST):
         there = [name for name in storage.names(out) if not name.startswith(".")]
         if there and not storage.exists(out, MANIFEST):  # another run may just have written it
-            raise InputError(f"{out}: is no dataset and not empty ({there[0] or 'a file'}); choose another folder")
+            raise InputError(f"{out}: is neither a dataset nor empty ({there[0] or 'a file'}); choose another folder")
         storage.check_writable(out)
         storage.write(out, MANIFEST, json_bytes(new))
         return

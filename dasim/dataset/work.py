@@ -31,7 +31,7 @@ def work(job: Job, index: int) -> Outcome:
         here = sample.provenance(job.environment["variant"])
         if here != job.environment:
             keys = ", ".join(key for key in here if here[key] != job.environment.get(key))
-            return Outcome(index, f"this worker has another {keys} than the dataset: pixels would differ", True)
+            return Outcome(index, f"this worker differs from the dataset in {keys}: pixels would differ", True)
         result = sample.make(job.spec, index, job.environment["variant"])
     except InputError as error:  # the same at every try
         return Outcome(index, describe_error(error), final=True)

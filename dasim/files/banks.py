@@ -112,7 +112,7 @@ def _check_tables(path: Path, arrays: dict[str, NDArray], lights_and_channels: t
     if not square or kernel.shape[:3] != (lights, levels, count) or 0 in kernel.shape:
         raise InputError(f"bank {path}: its kernels do not fit its lights, levels and channels")
     if levels < 2:
-        raise InputError(f"bank {path}: has one level alone; a bank has the focus and at least one level beside it")
+        raise InputError(f"bank {path}: has only one level; a bank has the focus and at least one level beside it")
     if any(arrays[name].shape != (levels,) for name in ("depth_m", "blur_px")):
         raise InputError(f"bank {path}: its tables do not fit its lights and levels")
     if any(array.dtype.kind not in "iuf" for array in arrays.values()):

@@ -32,7 +32,7 @@ def check(camera: Camera) -> None:
     """Raise InputError if the camera has stops other than centred discs, axial colour, or phase in its pupil."""
     problems = [f"stop '{stop.name}' is not a centred disc" for stop in camera.stops if not stops.is_plain_disc(stop)]
     if any(value % 0.5 for value in principal_point(camera.sensor)):
-        problems.append("sensor.principal_point_px is no multiple of half a pixel")
+        problems.append("sensor.principal_point_px is not a multiple of half a pixel")
     if camera.lens.focal_shift_um:
         problems.append("lens.focal_shift_um is set")
     if camera.lens.distortion_per_mm:

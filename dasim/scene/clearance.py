@@ -27,7 +27,7 @@ def size_problems(item: Object, folder: Path) -> list[str]:
     unit = f"unit_cm is {item.unit_cm:g}" if isinstance(item, Mesh) else "lengths are in centimetres"
     return [
         f"object '{item.name}': is {size_m:.3g} m large; {SMALLEST_M * 1e6:g} um to {LARGEST_M:g} m are allowed "
-        f"(a mistake of units? {unit})"
+        f"(wrong unit? {unit})"
     ]
 
 

@@ -60,7 +60,7 @@ def _check_one(path: Path, where: str, values: dict[str, str], folders: list[Pat
         depth += 1
         line = f"{where}, line {parser.CurrentLineNumber}"
         if depth > DEEPEST:
-            raise InputError(f"{line}: elements are more than {DEEPEST} levels deep; that is no scene")
+            raise InputError(f"{line}: elements are more than {DEEPEST} levels deep; that is not a scene")
         if tag == "default":
             values.setdefault(attributes.get("name", ""), filled(attributes.get("value", "")))
         if tag == "path":
@@ -91,7 +91,7 @@ def _check_one(path: Path, where: str, values: dict[str, str], folders: list[Pat
     try:
         parser.Parse(written.encode(), True)
     except expat.ExpatError as error:
-        raise InputError(f"{where}: does not load, it is no well-formed XML ({error})") from None
+        raise InputError(f"{where}: does not load, because it is not well-formed XML ({error})") from None
     return included
 
 

@@ -37,7 +37,7 @@ def check_fits(bank: PsfBank, capture: Capture) -> None:
     if not isinstance(bank, PsfBank):
         raise InputError(f"a PsfBank is needed, not {kind_of(bank)}; see recon.calibrate")
     if len(bank.depth_m) < 2:
-        raise InputError("bank has one level alone; depth needs the focus and at least one level in front of it")
+        raise InputError("bank has only one level; depth needs the focus and at least one level in front of it")
     focus = f"{camera.lens.focus_distance_m:g}"
     check_lens(bank, camera, "the capture", f"make a bank with 'dasim calibrate --camera CAMERA --focus {focus}'")
 

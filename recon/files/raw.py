@@ -102,7 +102,7 @@ def _from_dng(path: Path, camera: Camera | None, exposure_s: float | None, gain:
     own = found.private
     used = camera or (own.camera if own else None)
     if used is None:
-        raise InputError(f"raw picture {path}: is no DNG of dasim; give its camera with --camera")
+        raise InputError(f"raw picture {path}: is not a DNG that dasim wrote; give its camera with --camera")
     dng_reading.check_fits(found, used, f"raw picture {path}")
     stated_s, stated_gain = (own.exposure_s, own.gain) if own else (found.exposure_s, None)
     exposure = _exposure(

@@ -219,7 +219,7 @@ def test_entrants_are_methods_and_folders(folder):
         (["nothing"], None, "or a folder of depth maps"),
         (["theirs", "theirs=theirs"], None, "'theirs' is taken"),
         (["constant=theirs"], None, "'constant' is taken, the best constant map has it"),
-        (["a b=theirs"], None, "'a b' is no name"),
+        (["a b=theirs"], None, "'a b' is not a valid name"),
         (["best"], 0.001, "--scale: applies to folders"),
     ],
 )

@@ -96,7 +96,7 @@ def test_methods_have_the_names_that_users_give(mine):
     [
         (["nothing"], ("'nothing' is unknown", "bands", "file.py:function")),
         (["bands=mine.py:constant"], ("'bands'", "bundled", "another name")),
-        (["a b=mine.py:constant"], ("'a b' is no name",)),
+        (["a b=mine.py:constant"], ("'a b' is not a valid name",)),
         (["x=mine.py:constant", "x=mine.py:broken"], ("two methods", "'x'")),
         (["bands", "bands"], ("two methods", "'bands'")),
         (["mine.py:nothing"], ("nothing", "constant")),

@@ -78,7 +78,9 @@ def _folder(text: str, metres_per_unit: float | None) -> MapFolder | None:
     if not equals or not Path(path).is_dir():
         return None
     if not NAME.fullmatch(name):
-        raise InputError(f"method '{text}': '{name}' is no name; allowed are letters, digits, - and _, a letter first")
+        raise InputError(
+            f"method '{text}': '{name}' is not a valid name; allowed are letters, digits, - and _, a letter first"
+        )
     return MapFolder(name, Path(path), metres_per_unit)
 
 

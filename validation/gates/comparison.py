@@ -55,7 +55,7 @@ def load_results(path: Path) -> dict[str, Earlier]:
     except InputError:
         raise
     except (KeyError, TypeError, ValueError):
-        raise InputError(f"--compare {path}: is no results.json of dasim validate") from None
+        raise InputError(f"--compare {path}: is not a results.json of dasim validate") from None
 
 
 def changes(old: dict[str, Earlier], new: list[Claim], measured: set[str]) -> list[Change]:

@@ -122,13 +122,13 @@ def load_gates(path: Path, claims: Iterable[str]) -> list[Gate]:
     for gate in gates:
         if gate.claim not in known or gate.key == gate.claim:
             raise InputError(
-                f"{path}: '{gate.key}' is no figure of a claim; its form is CLAIM.FIGURE or CLAIM.METHOD.FIGURE, "
+                f"{path}: '{gate.key}' is not a figure of a claim; its form is CLAIM.FIGURE or CLAIM.METHOD.FIGURE, "
                 f"with CLAIM one of {', '.join(known)}{did_you_mean(gate.claim, known)}"
             )
         for part in _DOT.split(gate.key):
             if not _PART.fullmatch(part):
                 raise InputError(
-                    f"{path}: '{part}' of '{gate.key}' is no name, {{NAME,NAME}}, or * for one name between dots"
+                    f"{path}: '{part}' of '{gate.key}' is not a name, {{NAME,NAME}}, or * for one name between dots"
                 )
     return sorted(gates, key=lambda gate: not gate.exact)
 

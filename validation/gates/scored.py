@@ -62,10 +62,10 @@ def check_score_files(json_file: Path | None, junit: Path | None) -> None:
         if out is None:
             continue
         if not out.parent.is_dir():
-            raise InputError(f"{option} {out}: {out.parent} is no folder")
+            raise InputError(f"{option} {out}: {out.parent} is not a folder")
         check_output_file(out)
         if out.exists() and not (_is_score(out) if option == "--json" else _is_junit(out)):
-            raise InputError(f"{option} {out}: exists and is no earlier score; choose another name")
+            raise InputError(f"{option} {out}: exists and is not an earlier score; choose another name")
 
 
 def _is_score(file: Path) -> bool:

@@ -44,7 +44,7 @@ def read_depth(path: Path, metres_per_unit: float | None = None) -> FloatArray:
 def read_map(path: Path) -> FloatArray:
     """Read one number per pixel, [h, w], without conversion."""
     if not path.exists() or path.is_dir():
-        raise InputError(f"{path}: does not exist, or is a folder that is no reconstruction")
+        raise InputError(f"{path}: does not exist, or is a folder that is not a reconstruction")
     suffix = path.suffix.lower()
     if suffix == ".png":
         return read_png16(path).astype(np.float64)

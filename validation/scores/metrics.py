@@ -31,7 +31,7 @@ def load_metrics(names: Sequence[str]) -> list[Metric]:
         metric = load_function(source, "metric")
         if name:
             if not name.replace("-", "_").isidentifier():
-                raise InputError(f"metric '{text}': '{name}' is no name; allowed are letters, digits, - and _")
+                raise InputError(f"metric '{text}': '{name}' is not a valid name; allowed are letters, digits, - and _")
             metric = functools.partial(metric)
             metric.__name__ = name  # type: ignore[attr-defined]
         if metric_name(metric) in map(metric_name, metrics):

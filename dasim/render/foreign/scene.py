@@ -276,14 +276,12 @@ def check_clear(world: World, scene: MitsubaScene, pupil_radius_m: float) -> Non
         size_m = 0.0 if is_empty else float((high - low).max())
         if is_object and not SMALLEST_M <= size_m <= LARGEST_M:
             name = world.objects[int(shape.id().removeprefix("object_"))]
-            world.notes.append(
-                f"object '{name}' is {size_m:.3g} m large; a mistake of units? unit_cm is {scene.unit_cm:g}"
-            )
+            world.notes.append(f"object '{name}' is {size_m:.3g} m large; wrong unit? unit_cm is {scene.unit_cm:g}")
         if not shape.is_mesh() or (low > pupil_radius_m).any() or (high < -pupil_radius_m).any():
             continue
         if distance_from_origin(corners(shape)) <= pupil_radius_m:
             name = world.objects[int(shape.id().removeprefix("object_"))]
             raise InputError(
                 f"{scene.file}: object '{name}' reaches into the lens, {2e3 * pupil_radius_m:.2g} mm wide; "
-                f"a mistake of units? unit_cm is {scene.unit_cm:g}"
+                f"wrong unit? unit_cm is {scene.unit_cm:g}"
             )

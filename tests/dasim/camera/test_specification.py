@@ -84,11 +84,11 @@ def test_problems_are_named_in_one_line(tmp_path, old, new, message_part):
         ),
         (
             'shape = "polygon"\ncorners_ratio = [[0, 0], [0.5, 0.5], [0.6, 0], [0, 0.5]]',
-            "stops.hole.corners_ratio: is no simple polygon: its sides cross",
+            "stops.hole.corners_ratio: is not a simple polygon: its sides cross",
         ),
         (
             'shape = "polygon"\ncorners_ratio = [[0, -0.9], [0.5, 0.7], [-0.8, -0.3], [0.8, -0.3], [-0.5, 0.7]]',
-            "stops.hole.corners_ratio: is no simple polygon: its sides cross",
+            "stops.hole.corners_ratio: is not a simple polygon: its sides cross",
         ),
         ('shape = "polygon"\ncorners_ratio = [[0, 0], [0.5, 0.5], [0.2, 0.2]]', "stops.hole.corners_ratio: is no"),
         (

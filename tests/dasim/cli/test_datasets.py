@@ -88,7 +88,7 @@ def test_dry_run_writes_nothing(command, tmp_path):
         (lambda spec, out: rewrite(out, schema=99), "newer than this dasim knows"),
         (lambda spec, out: rewrite(out, llvm="1.0"), "llvm was"),
         (lambda spec, out: (out / plan.MANIFEST).write_text("{"), "is damaged"),
-        (lambda spec, out: (out / plan.MANIFEST).rename(out / "x.json"), "is no dataset and not empty"),
+        (lambda spec, out: (out / plan.MANIFEST).rename(out / "x.json"), "is neither a dataset nor empty"),
         (lambda spec, out: (shutil.rmtree(out), out.write_text("")), "ds"),
     ],
 )
@@ -111,7 +111,7 @@ def rewrite(out: Path, **changes) -> None:
 def test_no_dataset_is_refused(task, command, tmp_path):
     for out in (tmp_path, tmp_path / "nowhere", __file__):
         status, _, error = command(task, out)
-        assert status == 2 and "is no dataset" in error and len(error.splitlines()) == 1
+        assert status == 2 and "is not a dataset" in error and len(error.splitlines()) == 1
     status, _, error = command(task, "nothing://bucket/ds")
     assert status == 2 and "cannot be opened" in error and len(error.splitlines()) == 1
 

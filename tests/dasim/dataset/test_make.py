@@ -125,7 +125,7 @@ def test_full_temporary_folder_is_nobodys_sample(spec, tmp_path, monkeypatch):
 def test_worker_with_other_libraries_makes_nothing(spec, tmp_path, monkeypatch):
     """Pixels would differ, so that the run ends before the first sample is written."""
     monkeypatch.setattr(sample, "provenance", lambda variant: {"variant": variant, "llvm": "0", "cpu": "abacus"})
-    with pytest.raises(InputError, match="this worker has another llvm, cpu than the dataset"):
+    with pytest.raises(InputError, match="this worker differs from the dataset in llvm, cpu"):
         make_dataset(spec, tmp_path / "ds")
     assert not (tmp_path / "ds" / "parts").exists()
 

@@ -100,7 +100,7 @@ def test_bucket_that_is_not_there(address, tmp_path, capsys, monkeypatch):
     message = capsys.readouterr().err
     assert "s3://nowhere/ds: cannot be written" in message and len(message.splitlines()) == 1
     assert run(["dataset", "info", f"{address}/nothing"]) == 2
-    assert "is no dataset" in capsys.readouterr().err
+    assert "is not a dataset" in capsys.readouterr().err
 
 
 def test_store_that_does_not_answer(address, tmp_path, capsys, monkeypatch):

@@ -61,7 +61,7 @@ def test_levels_behind_the_focus_come_back(tmp_path, bank):
 def test_damaged_banks_are_refused(tmp_path, bank):
     one = {name: getattr(bank, name)[:1] for name in ("depth_m", "blur_px")}
     banks.save_bank(tmp_path / "one.npz", dataclasses.replace(bank, kernel=bank.kernel[:, :1], **one))
-    with pytest.raises(InputError, match="one level alone"):
+    with pytest.raises(InputError, match="only one level"):
         banks.load_bank(tmp_path / "one.npz")
     with pytest.raises(InputError, match=r"b\.npz: no such file; make one with 'dasim calibrate'"):
         banks.load_bank(tmp_path / "b.npz")

@@ -247,7 +247,7 @@ def test_tiles_that_do_not_fit_are_refused(far):
         ([good, capture(small, 1, exposure_s=0.02)], (16, 12), "tile 1: exposed 0.02 s"),
         ([good, capture(cameras.refocused(small, 1.0), 1)], (16, 12), "tile 1: its camera, focus"),
         ([good, capture(small, 1, blur_px=50.0)], (16, 12), "tile 1: its blur reaches"),
-        ([capture(cameras.cropped("da-mobile", 64, 48, at_px=(0, 0)), 0)], (16, 12), "off the axis"),
+        ([capture(cameras.cropped("da-mobile", 64, 48, at_px=(0, 0)), 0)], (16, 12), "off the optical axis"),
     ):
         with pytest.raises(InputError, match=message):
             tiled(tiles, *size)

@@ -143,7 +143,7 @@ def test_levels_without_the_focus_are_named():
         recon.calibrate(behind, camera)
     bank = recon.calibrate(pictures, camera)
     capture = Capture(np.full((48, 64), 400, np.uint16), camera, 0.01, 1.0, 0)
-    with pytest.raises(InputError, match="bank has one level alone"):
+    with pytest.raises(InputError, match="bank has only one level"):
         recon.reconstruct(capture, bank)
 
 

@@ -117,7 +117,7 @@ def test_users_gates_decide(fakes):
         (("--out", "new", "--seeds", "2", "--propose-gates", "bundled.toml"), ("bundled.toml", "exists")),
         (("--only", "good", "--out", "new", "--compare", "none.json"), ("none.json", "results.json")),
         (("--only", "good", "--out", "new", "--compare", "bundled.toml"), ("bundled.toml", "JSON")),
-        (("--only", "good", "--out", "new", "--compare", "foreign/results.json"), ("no results.json",)),
+        (("--only", "good", "--out", "new", "--compare", "foreign/results.json"), ("not a results.json",)),
         (("--only", "good", "--out", "new", "--fail-on-worse"), ("--fail-on-worse", "--compare")),
         (("--only", "good", "--out", "new", "--method", "bandz"), ("'bandz' is unknown", "bands", "file.py:function")),
         (("--only", "good", "--out", "new", "--method", "likelihood"), ("--method likelihood", "none")),
