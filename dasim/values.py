@@ -216,6 +216,7 @@ class DepthEstimate:
     sd: NDArray[np.floating] | None = None  # [h, w] standard deviation, in levels or metres as the map; None: unknown
     joined: bool = False  # whether the map is already regularised; it is not regularised again, unless it has gaps
     side: Side = "assumed"  # of the focus: everything is assumed to be nearer, or the picture determines the side
+    align_steps: bool = False  # whether its depth discontinuities are to be moved to edges of the all-in-focus picture
 
     def __post_init__(self) -> None:
         """Raise InputError for an invalid estimate."""

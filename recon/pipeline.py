@@ -16,7 +16,7 @@ from dasim.typing import Float32Array, FloatArray, Progress
 from dasim.values import Capture, PsfBank, Reconstruction, Side
 from recon import levels
 from recon.calibration.fit import check_fits, place_notes
-from recon.depth import raw_levels, upsampling
+from recon.depth import raw_levels, steps, upsampling
 from recon.depth.method import Method, method_name, on_blocks, run_method
 from recon.depth.peak import confidence_of
 from recon.depth.regularise import regularise
@@ -101,7 +101,10 @@ def reconstruct(
         sharp_e = all_in_focus.all_in_focus(frame, on_axis, light, settings, tile_px)
         del frame
         # After sharpening, which is better with levels that change gradually: a wrong side costs more than a ramp.
-        upsampling.take_sides(pixels, blocks, captured.linear_e, captured.ir_e)
+        if found.align_steps:
+            blocks = steps.aligned(blocks, sharp_e, captured.ir_e)
+            pixels = upsampling.interpolated(blocks, captured.ir_e.shape)
+        upsampling.take_sides(pixels, blocks, sharp_e, captured.ir_e)
         level, confidence = pixels
     with stage("colour"):
         rgb, sharp_rgb = _coloured(captured.linear_e, sharp_e, colour.colour_matrix(camera, light, separation.on_axis))
@@ -165,6 +168,7 @@ class _Levels(NamedTuple):
     level: Float32Array
     confidence: Float32Array  # of ``level``
     joined: bool  # whether ``level`` is already regularised and has no gaps
+    align_steps: bool  # whether its discontinuities are to be moved to edges of the all-in-focus picture
     side: Side = "assumed"
     notes: tuple[str, ...] = ()
 
@@ -184,7 +188,7 @@ def _levels(
         raw, trust, outside = on_blocks(estimate, bank)
         joined = estimate.joined and bool(np.isfinite(raw).all())
         notes = _range_notes(outside, method_name(method), bank, estimate.side)
-        return _Levels(raw, raw, trust, joined, estimate.side, notes)
+        return _Levels(raw, raw, trust, joined, estimate.align_steps, estimate.side, notes)
     kernels, white = bank.kernel[linear.light], bank.signature[linear.light]
     frame = raw_levels.Frame(linear.raw_e, variances, linear.saturated, capture.camera, kernels, white)
     if settings.score == "joint":
@@ -194,9 +198,10 @@ def _levels(
         raw = np.where(known, found.window_level, np.float32(np.nan))
         # In double precision and rounded once, as the estimate of a method is.
         trust = confidence_of(found.sd.astype(np.float64)).astype(np.float32)
-        return _Levels(raw, found.level, trust, True, "assumed" if behind is None else "estimated")
+        side: Side = "assumed" if behind is None else "estimated"
+        return _Levels(raw, found.level, trust, True, settings.windows == "all", side)
     raw, trust = raw_levels.raw_levels(frame, settings, tile_px)
-    return _Levels(raw, raw, trust, False)
+    return _Levels(raw, raw, trust, joined=False, align_steps=False)
 
 
 def _range_notes(outside: float, name: str, bank: PsfBank, side: Side) -> tuple[str, ...]:

@@ -3,8 +3,7 @@
 Small windows resolve object boundaries, large ones work with weak texture. The score of :mod:`recon.depth.bands` does
 not assume a natural texture spectrum and is better at large blur (:mod:`recon.depth.evidence`). Neighbouring windows
 are combined before a level is chosen (:mod:`recon.depth.surface_net`); the level is a central value of the posterior.
-A weighted median filter then moves blurred depth discontinuities to edges of the picture
-(:mod:`recon.depth.weighted_median`).
+Depth discontinuities are blurred until :mod:`recon.depth.steps` moves them to edges of the all-in-focus picture.
 
 The kernels are those of one side of the focus; :mod:`recon.depth.side` chooses between the two sides.
 """
@@ -17,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dasim.typing import Float32Array, FloatArray
-from recon.depth import surface_net, weighted_median
+from recon.depth import surface_net
 from recon.depth.evidence import Evidence, on_samples
 
 # A window is informative if its score varies by at least LEAST_RANGE over RANGE_LEVELS levels or more; windows of pure
@@ -50,9 +49,6 @@ def estimate(
     window_sd[~knows] = np.inf
     if network:
         found = surface_net.posterior(evidence.inputs, evidence.picture, levels, last, tile)
-        moved = weighted_median.filtered(found.level, found.sd, evidence.picture)
-        # Where a step moved, the posterior favoured another surface: the change adds to the uncertainty.
-        found = surface_net.Moments(moved, np.hypot(found.sd, moved - found.level))
     else:
         found = surface_net.smooth_posterior(evidence.inputs, levels, last)
     level, sd = (image[: shape[0], : shape[1]] for image in found)  # the last nodes may reach beyond the frame

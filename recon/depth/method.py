@@ -10,7 +10,7 @@ import numpy as np
 from dasim.base.errors import InputError
 from dasim.base.loading import function_name
 from dasim.typing import Float32Array
-from dasim.values import Capture, DepthEstimate, PsfBank
+from dasim.values import Capture, DepthEstimate, PsfBank, Side
 from recon import levels
 from recon.calibration.fit import check_fits
 from recon.depth.peak import REFERENCE_ERROR, confidence_of
@@ -42,7 +42,8 @@ def estimate(capture: Capture, bank: PsfBank, settings: Settings) -> DepthEstima
         joined = joint_levels(frame, settings, behind)
         known = np.isfinite(joined.sd)
         level, sd = (_on_pixels(np.where(known, image, np.float32(np.nan))) for image in (joined.level, joined.sd))
-        return DepthEstimate(level=level, sd=sd, joined=True, side="assumed" if behind is None else "estimated")
+        side: Side = "assumed" if behind is None else "estimated"
+        return DepthEstimate(level=level, sd=sd, joined=True, align_steps=settings.windows == "all", side=side)
     level, confidence = raw_levels(frame, settings)
     known = np.isfinite(level)
     share = np.where(known, confidence, 1).astype(np.float64)

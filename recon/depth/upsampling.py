@@ -46,16 +46,26 @@ def take_sides(pixels: Levels, blocks: Levels, linear_e: Float32Array, ir_e: Flo
     Args:
         pixels: levels of every pixel, [h, w], see :func:`interpolated`.
         blocks: those of the 2x2 blocks, [h/2, w/2].
-        linear_e: red, green and blue of the picture, [h, w, 3] electrons.
+        linear_e: red, green and blue of the all-in-focus picture, [h, w, 3] electrons.
         ir_e: infrared, [h, w] electrons.
     """
-    channels = [*np.moveaxis(linear_e, -1, 0), ir_e]
-    size = blocks.level.shape[1], blocks.level.shape[0]
-    floor = np.array([FLOOR_SHARE * max(float(image.mean()), 0.0) + FLOOR_E for image in channels], np.float32)
-    picture = np.stack([cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in channels])
-    picture = np.log(np.maximum(picture, 0) + floor[:, None, None])
+    picture, floor = log_picture(linear_e, ir_e, blocks.level.shape)
     of_blocks = (np.ascontiguousarray(image, np.float32) for image in blocks)
     _take_sides(*of_blocks, picture, linear_e, ir_e, floor, *pixels)
+
+
+def log_picture(
+    linear_e: Float32Array, ir_e: Float32Array, shape: tuple[int, ...]
+) -> tuple[Float32Array, Float32Array]:
+    """Logarithms of the four channels in blocks, [channel, *shape], and what is added to each before, [channel].
+
+    ``linear_e`` [h, w, 3] and ``ir_e`` [h, w] are electrons.
+    """
+    channels = [*np.moveaxis(linear_e, -1, 0), ir_e]
+    floor = np.array([FLOOR_SHARE * max(float(image.mean()), 0.0) + FLOOR_E for image in channels], np.float32)
+    size = shape[1], shape[0]
+    picture = np.stack([cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in channels])
+    return np.log(np.maximum(picture, 0) + floor[:, None, None]), floor
 
 
 @njit(cache=True, parallel=True)

@@ -9,7 +9,7 @@ left: a sample takes the largest or the smallest level beside it, whichever is c
 Bruckner, Pattern Recognition 7, 1975).
 
 On noisy slopes the filter leaves terraces. The result therefore follows it near the discontinuities that it found, and
-elsewhere the mean of its levels and those before it.
+elsewhere mostly the levels before it.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from dasim.typing import BoolArray, Float32Array
 # changes, because a fixed grid would leave its pattern.
 ROUNDS = ((20, 4), (18, 4), (18, 4), (10, 2), (4, 1))
 NEARNESS = 1.0  # standard deviation of the weight by distance, over the radius
-CONTRAST = 0.07  # of the weight by likeness, root mean square over the picture's channels
+CONTRAST = 0.1  # of the weight by likeness, root mean square over the picture's channels
 LEAST_SD = 0.3  # levels, added in quadrature: limits the weight of certain levels
 LEAST_EXPONENT = -12.0  # of a weight; smaller ones do not count
-BINS = 128  # of a histogram, evenly in the square root of the level
+BINS = 128  # of a histogram, evenly in the square root of the level, with its sign
 # Levels that differ by more than both, STEP_SHARE of the largest, belong to two surfaces.
 STEP_LEVELS, STEP_SHARE = 1.0, 0.1
 BESIDE = np.ones((3, 3), np.uint8)
 # Weight of the levels before the filter: 0 at a step, OWN_SHARE from REACH samples on, and half of it for a standard
 # deviation of UNSURE_SD levels.
-REACH, OWN_SHARE, UNSURE_SD = 6.0, 0.5, 8.0
+REACH, OWN_SHARE, UNSURE_SD = 6.0, 0.75, 8.0
 
 
 def filtered(level: Float32Array, sd: Float32Array, picture: Float32Array) -> Float32Array:
     """Filtered levels, [h, w].
 
     Args:
-        level: levels from 0, [h, w].
+        level: levels of either sign, [h, w].
         sd: their standard deviations, [h, w].
         picture: logarithms of the channels, [h, w, channel].
     """
@@ -56,7 +56,7 @@ def filtered(level: Float32Array, sd: Float32Array, picture: Float32Array) -> Fl
 def _is_step(level: Float32Array) -> BoolArray:
     """Whether the levels around each sample belong to two surfaces, [h, w]."""
     high, low = cv2.dilate(level, BESIDE), cv2.erode(level, BESIDE)
-    return np.asarray(high - low > np.maximum(STEP_LEVELS, STEP_SHARE * high))
+    return np.asarray(high - low > np.maximum(STEP_LEVELS, STEP_SHARE * np.maximum(np.abs(high), np.abs(low))))
 
 
 def _distance(mask: BoolArray) -> Float32Array:
@@ -79,10 +79,12 @@ def _round(  # pragma: no cover - compiled
     """One round; a median is interpolated in the histogram's bin that it lies in."""
     height, width, channels = picture.shape
     result = np.empty_like(level)
-    top = level.max() + 1e-3
+    roots = np.sign(level) * np.sqrt(np.abs(level))
+    low = min(roots.min(), np.float32(0))
+    range_ = np.sqrt(max(level.max(), np.float32(0)) + np.float32(1e-3)) - low
     of_contrast = np.float32(-1 / (2 * CONTRAST * CONTRAST * channels))
     of_distance = np.float32(-1 / (2 * NEARNESS * NEARNESS * radius * radius))
-    places = np.sqrt(level / top) * np.float32(BINS - 1)
+    places = (roots - low) / range_ * np.float32(BINS - 1)
     for y in prange(height):
         histogram = np.empty(BINS, np.float32)
         for x in range(width):
@@ -101,11 +103,11 @@ def _round(  # pragma: no cover - compiled
                         continue
                     own = weight[row, column] * np.exp(exponent)
                     place = places[row, column]
-                    low = int(place)
-                    share = place - low
-                    histogram[low] += own * (1 - share)
-                    if low + 1 < BINS:
-                        histogram[low + 1] += own * share
+                    first = int(place)
+                    share = place - first
+                    histogram[first] += own * (1 - share)
+                    if first + 1 < BINS:
+                        histogram[first + 1] += own * share
             half, below, bin_ = histogram.sum() / 2, np.float32(0), 0
             if half == 0:  # nothing around is alike
                 result[y, x] = level[y, x]
@@ -114,5 +116,6 @@ def _round(  # pragma: no cover - compiled
                 below += histogram[bin_]
                 bin_ += 1
             middle = (bin_ - 0.5 + (half - below) / histogram[bin_]) / (BINS - 1)
-            result[y, x] = max(middle, 0) ** 2 * top
+            root = low + max(middle, 0) * range_
+            result[y, x] = root * abs(root)
     return result

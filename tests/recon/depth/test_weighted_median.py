@@ -54,9 +54,9 @@ def test_a_plane_stays_a_plane():
     assert np.abs(level - plane).max() < 0.2
 
 
-def test_slopes_keep_half_of_their_ripples_away_from_steps():
+def test_slopes_keep_most_of_their_ripples_away_from_steps():
     """Set-up: ripples of half a level on a slope, and a step of 6 levels with an edge in the picture. Expectation: from
-    twice the reach on, half of the levels' deviation from the filter's is left, and none of it at the step.
+    twice the reach on, three quarters of the levels' deviation from the filter's are left, and none of it at the step.
     """
     y, x = np.indices(SHAPE, np.float32)
     level = 2 + 0.02 * x + 0.25 * np.sin(y / 3) + 6 * (x >= EDGE)
@@ -64,7 +64,7 @@ def test_slopes_keep_half_of_their_ripples_away_from_steps():
     found = filtered(level, sd, two_surfaces())[8:-8]
     whole = _with_share(level, sd, 0.0)[8:-8]
     far = np.abs(np.arange(SHAPE[1]) - EDGE) >= 2 * weighted_median.REACH
-    expected = (level[8:-8] + whole) / 2
+    expected = 0.75 * level[8:-8] + 0.25 * whole
     assert np.abs(found - expected)[:, far].max() < 1e-4
     assert np.abs(whole - level[8:-8])[:, far].max() > 0.1
     beside = slice(EDGE - 1, EDGE + 1)
@@ -111,3 +111,14 @@ def test_of_noise_each_sample_takes_a_level_beside_it():
     padded = np.pad(level, 1, mode="edge")
     beside = [padded[dy : dy + SHAPE[0], dx : dx + SHAPE[1]] for dy in range(3) for dx in range(3)]
     assert np.abs(found - np.stack(beside)).min(axis=0).max() < 0.1
+
+
+def test_levels_behind_the_focus_are_filtered_as_those_in_front():
+    """Set-up: the ramp with the sign changed, and from -4 to 2. Expectation: minus the levels of the ramp, to a bin of
+    the histogram, and a jump of 6 at the edge of the picture.
+    """
+    sd = np.full(SHAPE, 0.5, np.float32)
+    behind, across = (filtered(level, sd, two_surfaces()) for level in (-ramp(EDGE + 3), ramp(EDGE + 3) - 6))
+    assert np.abs(behind + filtered(ramp(EDGE + 3), sd, two_surfaces())).max() < 0.25
+    assert np.abs(across[10:-10, : EDGE - 1] + 4).max() < 0.5
+    assert np.abs(across[10:-10, EDGE + 8 :] - 2).max() < 0.5
