@@ -215,7 +215,7 @@ def test_meshes(faces, message, tmp_path):
         ('<?xml version="1.0" encoding="latin-1"?><scene/>', "save it as UTF-8"),
         (b'<scene a="\xe9"/>', "not UTF-8"),
         ('<!DOCTYPE a [<!ENTITY b "c">]><scene/>', "entities"),
-        ("<scene", "no well-formed XML"),
+        ("<scene", "not well-formed XML"),
         ('<scene><bsdf><float name="alpha" value="-3"/></bsdf></scene>', "a roughness from 0 to 1"),
     ],
 )

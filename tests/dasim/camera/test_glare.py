@@ -121,7 +121,7 @@ def test_psf_has_the_veil(da_mobile):
 def test_refused_keys(da_mobile, key, value):
     data = da_mobile.model_dump(mode="json")
     data["stops"][1] |= {key: value}
-    with pytest.raises(InputError, match=rf"stops\.1\.{key}: must be") as problem:
+    with pytest.raises(InputError, match=rf"stops\.hole\.{key}: must be") as problem:
         parse(Camera, data, "camera.toml")
     assert "\n" not in str(problem.value)
 
@@ -130,7 +130,7 @@ def test_veil_narrower_than_the_pixels_is_refused(da_mobile):
     """Rationale: a transfer function that has not decayed at the Nyquist frequency rings, with light below zero."""
     data = hazy(da_mobile, SHARE, 0.02).model_dump(mode="json")
     data["sensor"]["pixel_pitch_um"] = 10.0
-    with pytest.raises(InputError, match=r"stops\.1\.glare_radius_mm: must be at least 3 pixels \(is 2\)"):
+    with pytest.raises(InputError, match=r"stops\.hole\.glare_radius_mm: must be at least 3 pixels \(is 2\)"):
         parse(Camera, data, "camera.toml")
     point = np.zeros((65, 65, 1))
     point[32, 32] = 1.0

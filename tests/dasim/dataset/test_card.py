@@ -39,7 +39,7 @@ def test_what_is_beyond_the_bins_is_said():
 
 def test_card_says_what_is_in_it(both):
     card = (both["webdataset"] / "README.md").read_text()
-    for words in ("# tiny 1.0", "Licence: not stated", "6 of 3 scenes", "contact-sheet.jpg", "da-mobile", "D65"):
+    for words in ("# tiny 1.0", "Licence: not stated", "6, scenes: 3", "contact-sheet.jpg", "da-mobile", "D65"):
         assert words in card
     sheet = cv2.imread(str(both["webdataset"] / "contact-sheet.jpg"))
     assert sheet.shape == (72, 6 * 96, 3)

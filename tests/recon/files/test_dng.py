@@ -193,7 +193,7 @@ WRONG = {
     "preview": (254, 1, "holds no mosaic"),
     "width": (256, 2**16 - 1, "cannot be read|pixels"),
     "private": (50740, b"dasim\0{}", "DNGPrivateData|JSON"),
-    "others": (50740, b"other\0", "no DNG of dasim; give its camera with --camera"),
+    "others": (50740, b"other\0", "not a DNG that dasim wrote; give its camera with --camera"),
 }
 
 
