@@ -90,11 +90,11 @@ class Camera(Specification):
             raise ValueError(
                 "stops: wavefront_nm may have defocus and spherical terms only beside lens.wavefront_by_field"
             )
-        for number, stop in enumerate(self.stops):
+        for stop in self.stops:
             radius_px = (stop.glare_radius_mm or np.inf) * 1e3 / self.sensor.pixel_pitch_um
             if radius_px < SMALLEST_GLARE_PX:
                 raise ValueError(
-                    f"stops.{number}.glare_radius_mm: must be at least {SMALLEST_GLARE_PX:g} pixels "
+                    f"stops.{stop.name}.glare_radius_mm: must be at least {SMALLEST_GLARE_PX:g} pixels "
                     f"(is {radius_px:.2g}); narrower veils are not resolved by the sensor"
                 )
         if self.lens.distortion_per_mm and not _one_to_one(self):
