@@ -46,8 +46,9 @@ def filtered(level: Float32Array, sd: Float32Array, picture: Float32Array) -> Fl
         picture: logarithms of the channels, [h, w, channel].
     """
     weight, found = np.asarray(1 / np.hypot(sd, LEAST_SD), np.float32), level
+    picture = np.ascontiguousarray(picture, np.float32)
     for radius, stride in ROUNDS:
-        found = _round(found, weight, np.ascontiguousarray(picture, np.float32), radius, stride)
+        found = _round(found, weight, picture, radius, stride)
     found = _sharpened(found)
     own = np.interp(_distance(_is_step(found)), (0, REACH), (0, OWN_SHARE)) / (1 + (sd / UNSURE_SD) ** 2)
     return np.asarray(found + own * (level - found), np.float32)
