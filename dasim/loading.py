@@ -33,7 +33,7 @@ def load_scene(
             ``near_infrared``, ``illuminant``, and ``define``, the values of the file's ``$parameters`` by name
     """
     if not isinstance(name_or_path, (str, Path)):
-        raise InputError(f"scene: the name of a scene or a path is needed, not {kind_of(name_or_path)}")
+        raise InputError(f"scene: must be the name of a scene or a path, not {kind_of(name_or_path)}")
     loaded = None if camera is None else as_camera(camera)
     path = Path(name_or_path)
     if not is_mitsuba(path):
@@ -63,7 +63,7 @@ def as_scene(
         return scene
     if isinstance(scene, (str, Path)):
         return load_scene(scene, camera=camera)
-    raise InputError(f"scene: a Scene, the name of a scene or a path is needed, not {kind_of(scene)}")
+    raise InputError(f"scene: must be a Scene, the name of a scene or a path, not {kind_of(scene)}")
 
 
 def focused(camera: Camera | str | Path, scene: Scene | MitsubaScene | str | Path) -> Camera:

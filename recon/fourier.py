@@ -102,7 +102,7 @@ def transfer(kernel: NDArray, shape: tuple[int, int], spacing_px: float = 1.0) -
     """
     step = round(spacing_px)
     if step != spacing_px:
-        raise ValueError(f"a sample spacing of {spacing_px} pixels; a whole number is needed")
+        raise ValueError(f"a sample spacing of {spacing_px} pixels; it must be a whole number")
     # The transform on the pixel grid, restricted to the frequencies of the coarser grid, one axis at a time. A matrix
     # product would be shorter, but its idle threads occupy the other cores.
     half = (shape[0] + 1) // 2

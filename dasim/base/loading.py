@@ -31,7 +31,7 @@ def load_function(name: str, kind: str) -> Callable[..., Any]:
     """
     source, colon, attribute = name.rpartition(":")
     if not colon or not source or not attribute.isidentifier():
-        raise InputError(f"{kind} '{name}': package.module:function or file.py:function is needed")
+        raise InputError(f"{kind} '{name}': must be package.module:function or file.py:function")
     where = f"{kind} '{name}'"
     module = _file_module(Path(source), where) if source.endswith(".py") else _module(source, where)
     function = getattr(module, attribute, None)

@@ -324,7 +324,7 @@ def _array(data: bytes, where: str, kinds: str = _NUMBERS) -> NDArray[Any]:
     except Exception as error:  # the header is an expression of Python, which fails in many ways
         raise InputError(f"{where}: cannot be read as an NPY array ({type(error).__name__})") from None
     if dtype.kind not in kinds:
-        raise InputError(f"{where}: holds {dtype}; integers or floating-point numbers are needed")
+        raise InputError(f"{where}: holds {dtype}; it must hold integers or floating-point numbers")
     if math.prod(shape) * dtype.itemsize != len(data) - header.tell() or min(shape, default=0) < 0:
         raise InputError(f"{where}: its header promises {shape} of {dtype}, which its content does not fit")
     values = np.frombuffer(data, dtype, offset=header.tell()) if math.prod(shape) else np.empty(0, dtype)

@@ -245,9 +245,9 @@ def pair(name: str, value: Any) -> tuple[float, float]:
     try:
         first, second = (float(number) for number in value)
     except (TypeError, ValueError):
-        raise InputError(f"{name}: two numbers of pixels are needed, not {value!r}") from None
+        raise InputError(f"{name}: must be two numbers of pixels, not {value!r}") from None
     if not np.isfinite([first, second]).all():
-        raise InputError(f"{name}: two finite numbers of pixels are needed, not {value!r}")
+        raise InputError(f"{name}: must be two finite numbers of pixels, not {value!r}")
     return first, second
 
 
@@ -356,13 +356,13 @@ def psf(
     if channel not in names:
         raise InputError(f"channel '{channel}' is unknown; allowed are {', '.join(names)}")
     if not isinstance(depth_m, (int, float, np.number)) or not depth_m > 0:
-        raise InputError(f"depth_m: a distance above 0, in metres, is needed, not {kind_of(depth_m)}")
+        raise InputError(f"depth_m: must be a distance above 0, in metres, not {kind_of(depth_m)}")
     blur = float(geometry.blur_px(camera, depth_m))
     if size is None:
         _checked_angle_deg(camera, field_px)
         size = kernel_size_px(camera, blur, field_px)
     elif not isinstance(size, (int, np.integer)) or size < 1 or size % 2 == 0:
-        raise InputError(f"size: an odd number of pixels per side is needed, such as 31, not {size!r}")
+        raise InputError(f"size: must be an odd number of pixels per side, such as 31, not {size!r}")
     at = kernels(camera, [blur], illuminants.illuminant(illuminant), size, diffraction, field_px)
     return at(0, offset_px, ...)[0][names.index(channel)]
 

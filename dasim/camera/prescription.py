@@ -57,7 +57,7 @@ def camera_from_lens(path: str | Path, camera: Camera | str | Path = "da-mobile"
         warnings.simplefilter("ignore")  # of Optiland and of what it compiles
         optic = _read(path)
         if not optic.object_surface.is_infinite:
-            raise InputError(f"lens {path}: its object lies at a finite distance; infinity is needed")
+            raise InputError(f"lens {path}: its object lies at a finite distance; it must lie at infinity")
         focal_mm, f_number = abs(float(optic.paraxial.f2())), abs(float(optic.paraxial.FNO()))
         if not (np.isfinite(focal_mm) and np.isfinite(f_number) and focal_mm > 0):
             raise InputError(f"{path}: has no finite focal length and f-number at infinity")
@@ -81,7 +81,7 @@ def _read(path: Path) -> Any:
     if not path.is_file():
         raise InputError(f"lens {path}: no such file")
     if path.suffix.lower() not in (".zmx", ".json"):
-        raise InputError(f"lens {path}: a Zemax file (.zmx) or one of Optiland (.json) is needed")
+        raise InputError(f"lens {path}: must be a Zemax file (.zmx) or one of Optiland (.json)")
     try:
         from optiland import fileio
     except ImportError:

@@ -78,10 +78,10 @@ def _csv_columns(path: Path) -> tuple[list[str], list[tuple[float, ...]]]:
     table = []
     for number, row in enumerate(rows[1:], 2):
         if len(row) != len(names) or any(not item.strip() for item in row):
-            raise ValueError(f"file {path}, line {number} of the table: {len(names)} numbers are needed")
+            raise ValueError(f"file {path}, line {number} of the table: must have {len(names)} numbers")
         table.append([_number(item, f"file {path}, line {number} of the table") for item in row])
     if len(table) < 2:
-        raise ValueError(f"file {path}: two or more lines of numbers are needed")
+        raise ValueError(f"file {path}: must have two or more lines of numbers")
     return names, list(zip(*table, strict=True))
 
 

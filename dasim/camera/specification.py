@@ -123,7 +123,7 @@ def camera_names() -> list[str]:
 def load_camera(name_or_path: str | Path) -> Camera:
     """The camera of a bundled name (see :func:`camera_names`) or of a TOML file; InputError lists every wrong key."""
     if not isinstance(name_or_path, (str, Path)):
-        raise InputError(f"camera: the name of a bundled camera or a path is needed, not {kind_of(name_or_path)}")
+        raise InputError(f"camera: must be the name of a bundled camera or a path, not {kind_of(name_or_path)}")
     return parse_toml(Camera, bundled_or_file(name_or_path, CAMERA_DIR, "camera"))
 
 
@@ -133,7 +133,7 @@ def as_camera(camera: Camera | str | Path) -> Camera:
         return camera
     if isinstance(camera, (str, Path)):
         return load_camera(camera)
-    raise InputError(f"camera: a Camera, a bundled name or a path is needed, not {kind_of(camera)}")
+    raise InputError(f"camera: must be a Camera, a bundled name or a path, not {kind_of(camera)}")
 
 
 def cropped(
@@ -153,7 +153,7 @@ def cropped(
     low = SMALLEST_FRAME_PX
     for name, pixels in (("width_px", width_px), ("height_px", height_px)):
         if not isinstance(pixels, (int, np.integer)):
-            raise InputError(f"{name}: a whole number of pixels is needed, not {kind_of(pixels)}")
+            raise InputError(f"{name}: must be a whole number of pixels, not {kind_of(pixels)}")
     if not (low <= width_px <= sensor.width_px and low <= height_px <= sensor.height_px):
         raise InputError(
             f"size {width_px}x{height_px} is not within {low}x{low} to {sensor.width_px}x{sensor.height_px}, "
@@ -180,7 +180,7 @@ def _check_window(camera: Camera, size_px: tuple[int, int], at_px: tuple[int, in
     full = sensor.width_px, sensor.height_px
     pair = isinstance(at_px, (tuple, list, np.ndarray)) and len(at_px) == 2
     if not pair or any(not isinstance(value, (int, np.integer)) for value in at_px):
-        raise InputError(f"at_px: two whole numbers of pixels are needed, not {at_px!r}")
+        raise InputError(f"at_px: must be two whole numbers of pixels, not {at_px!r}")
     if any(
         not 0 <= at <= whole - part or at % step
         for at, whole, part, step in zip(at_px, full, size_px, cell, strict=True)

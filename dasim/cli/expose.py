@@ -57,7 +57,7 @@ def expose(
     exposures = exposures_of(exposure_of(dasim.load_capture(capture)), time, gain)
     count = len(exposures) * frames
     if count > MOST_IN_SERIES:
-        raise InputError(f"--time, --frames: {count} captures; {MOST_IN_SERIES} are allowed")
+        raise InputError(f"--time, --frames: {count} captures; at most {MOST_IN_SERIES} are allowed")
     single = count == 1
     out = options.default_out(capture, "-exposed") if out is None else out
     check_output(out, "capture" if single else "series of captures")

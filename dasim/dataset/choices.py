@@ -150,9 +150,9 @@ class SceneChoice(Specification):
         if self.mitsuba != MitsubaChoices() and not any(map(is_mitsuba, self.files)):
             raise ValueError("mitsuba is for Mitsuba XML files; files lists none")
         if self.family == "files" and not self.files:
-            raise ValueError("files is missing: a list of TOML or Mitsuba XML files is needed")
+            raise ValueError("files is missing: give a list of TOML or Mitsuba XML files")
         if self.family == "meshes" and not self.folder:
-            raise ValueError("folder is missing: a folder of OBJ, PLY, GLB, STL or OFF files is needed")
+            raise ValueError("folder is missing: give a folder of OBJ, PLY, GLB, STL or OFF files")
         for listed in (self.names, self.files):
             for name in listed:
                 if listed.count(name) > 1:
@@ -206,7 +206,7 @@ class FrameChoice(Specification):
     @model_validator(mode="after")
     def _whole(self) -> FrameChoice:
         if self.count > MOST_FRAMES:
-            raise ValueError(f"bracket and burst: {self.count} frames per sample; {MOST_FRAMES} are allowed")
+            raise ValueError(f"bracket and burst: {self.count} frames per sample; at most {MOST_FRAMES} are allowed")
         return self
 
     @property
@@ -252,7 +252,7 @@ class ViewChoice(Specification):
         if self.steps is not None and len(self.poses) < 2:
             raise ValueError("steps is for a trajectory: poses must list two poses or more that it passes through")
         if self.count > MOST_VIEWS:
-            raise ValueError(f"rig and poses: {self.count} views; {MOST_VIEWS} are allowed")
+            raise ValueError(f"rig and poses: {self.count} views; at most {MOST_VIEWS} are allowed")
         return self
 
     @property

@@ -78,7 +78,7 @@ def check_output(path: Path, kind: str) -> None:
     if path == Path.cwd() or path in Path.cwd().parents:
         raise InputError(f"output '{name}': is the working folder or above it; name a new folder")
     if path.exists() and not path.is_dir():
-        raise InputError(f"output {name}: is a file; a folder is needed")
+        raise InputError(f"output {name}: is a file; it must be a folder")
     if path.is_dir():
         foreign, first = _foreign(path, kind), RESULT_FILES[kind][0]
         if foreign or (any(path.iterdir()) and not _is_own(path / first)):

@@ -75,7 +75,7 @@ def found(folder: Path, places: Iterable[str], suffixes: tuple[str, ...], key: s
             raise InputError(f"{key} '{path}': holds none of {', '.join(suffixes)}")
         names.update(here)
     if len(names) > MOST_FILES:
-        raise InputError(f"{key}: {len(names)} files; {MOST_FILES} are allowed")
+        raise InputError(f"{key}: {len(names)} files; at most {MOST_FILES} are allowed")
     stats = {name: (folder / name).stat() for name in sorted(names)}
     return tuple((name, stat.st_mtime_ns, stat.st_size) for name, stat in stats.items())
 

@@ -122,7 +122,7 @@ def by_name(name: str, camera: Camera | None = None) -> tuple[Scene, Exposure]:
 def _check_numbers(seed: int, index: int) -> None:
     for name, value in (("seed", seed), ("index", index)):
         if value < 0:
-            raise InputError(f"random scene: {name} is {value}; 0 or a positive whole number is needed")
+            raise InputError(f"random scene: {name} is {value}; it must be 0 or a positive whole number")
 
 
 def _focus_cm(random: Random, spec: RandomScenes) -> float:

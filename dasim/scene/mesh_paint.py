@@ -114,4 +114,4 @@ def resized(image: Float32Array, size: tuple[int, ...]) -> Float32Array:
 def _check_size(image: Any) -> None:
     """Raise ValueError for a picture of too many pixels, before it is decoded."""
     if image is not None and image.size[0] * image.size[1] > MOST_TEXELS:
-        raise ValueError(f"its picture has {image.size[0]} x {image.size[1]} pixels, {MOST_TEXELS} are allowed")
+        raise ValueError(f"its picture has {image.size[0]} x {image.size[1]} pixels, at most {MOST_TEXELS} are allowed")

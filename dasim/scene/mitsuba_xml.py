@@ -102,6 +102,6 @@ def _check_number(name: str, text: str, where: str) -> None:
     except ValueError:
         return
     if name in _SHARES and not 0 <= value <= 1:
-        raise InputError(f"{where}: {name} is {text[:30]}; a roughness from 0 to 1 is needed")
+        raise InputError(f"{where}: {name} is {text[:30]}; it must be a roughness from 0 to 1")
     if name in _LENGTHS and not 0 < value < math.inf:
-        raise InputError(f"{where}: {name} is {text[:30]}; a finite length above 0 is needed")
+        raise InputError(f"{where}: {name} is {text[:30]}; it must be a finite length above 0")

@@ -139,7 +139,7 @@ def _exr(path: Path, image: str) -> FloatArray:
     for name in ("RGB", "RGBA", "Y"):
         if name in channels:
             return np.asarray(channels[name].pixels[..., :3] if name != "Y" else channels[name].pixels, np.float64)
-    raise InputError(f"image '{image}': has channels {', '.join(sorted(channels))}; RGB or Y is needed")
+    raise InputError(f"image '{image}': has channels {', '.join(sorted(channels))}; it must have RGB or Y")
 
 
 def rotation(light: Surrounding) -> FloatArray:

@@ -78,13 +78,13 @@ def calibration_captures(
     """
     camera = as_camera(camera)
     if isinstance(lights, str) or not lights:
-        raise InputError(f"lights: a list of one illuminant or more is needed, such as ('D65',), not {lights!r}")
+        raise InputError(f"lights: must be a list of one illuminant or more, such as ('D65',), not {lights!r}")
     for light in lights:
         illuminants.illuminant(light)
     if not isinstance(frames, (int, np.integer)) or frames < 1:
-        raise InputError(f"frames is {frames!r}; a whole number from 1 is needed")
+        raise InputError(f"frames is {frames!r}; it must be a whole number from 1")
     if not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise InputError(f"seed is {seed!r}; 0 or a positive whole number is needed")
+        raise InputError(f"seed is {seed!r}; it must be 0 or a positive whole number")
     field_px = geometry.frame_field_px(camera) if field_px is None else pointspread.pair("field_px", field_px)
     levels_count = len(levels(camera)[0]) + len(levels_behind(camera)[0]) - 1
     positions = len(camera.sensor.mosaic) * len(camera.sensor.mosaic[0])

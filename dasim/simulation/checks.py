@@ -36,12 +36,12 @@ def check_options(
     """Raise InputError for samples, a seed, a diffraction model or a target of noise that no variant allows."""
     whole = isinstance(spp, (int, np.integer)) and not isinstance(spp, bool)
     if spp not in (None, "auto") and not whole:
-        raise InputError(f"spp is {spp!r}; a whole number or 'auto' is needed")
+        raise InputError(f"spp is {spp!r}; it must be a whole number or 'auto'")
     if whole and not 1 <= int(cast(int, spp)) <= MOST_SPP:
         raise InputError(f"spp is {spp}; 1 to {MOST_SPP} samples per pixel are allowed")
     for name, value in (("noise_share", noise_share), ("noise_at", noise_at)):
         if not isinstance(value, (int, float, np.number)):
-            raise InputError(f"{name}: a number is needed, not {kind_of(value)}")
+            raise InputError(f"{name}: must be a number, not {kind_of(value)}")
     if not 0.01 <= noise_share <= 10:
         raise InputError(f"noise_share is {noise_share:g}; 0.01 to 10 of the sensor's own noise is allowed")
     if not PERCENTILE[0] <= noise_at <= PERCENTILE[1]:
@@ -56,14 +56,14 @@ def check_options(
 def check_seed(seed: int) -> None:
     """Raise InputError for a seed that is no whole number from 0."""
     if not isinstance(seed, (int, np.integer)) or isinstance(seed, bool) or seed < 0:
-        raise InputError(f"seed is {seed!r}; 0 or a positive whole number is needed")
+        raise InputError(f"seed is {seed!r}; it must be 0 or a positive whole number")
 
 
 def check_exposure(exposure: Exposure | None) -> None:
     """Raise InputError for an exposure of another type, such as a time."""
     if not isinstance(exposure, Exposure | None):
         raise InputError(
-            f"exposure: a dasim.Exposure is needed, not {kind_of(exposure)}; for a time, Exposure(time_s=...)"
+            f"exposure: must be a dasim.Exposure, not {kind_of(exposure)}; for a time, Exposure(time_s=...)"
         )
 
 

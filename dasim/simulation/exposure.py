@@ -132,9 +132,9 @@ def expose_series(
         checks.check_exposure(exposure)
     for name, number in (("lux", lux), ("scale", scale)):
         if number is not None and not isinstance(number, (int, float, np.number)):
-            raise InputError(f"{name}: a number is needed, not {kind_of(number)}")
+            raise InputError(f"{name}: must be a number, not {kind_of(number)}")
     if not isinstance(frames, (int, np.integer)) or frames < 1:
-        raise InputError(f"frames is {frames!r}; a whole number from 1 is needed")
+        raise InputError(f"frames is {frames!r}; it must be a whole number from 1")
     shot.truth.require("mean_e")
     with _own_provenance(where):
         light = _relit(sensor_light_of(shot, where), lux, scale, where)
@@ -208,7 +208,7 @@ def sensor_light_of(shot: Shot, where: str) -> SensorLight:
         height, width, count = truth.mean_e.shape
         raise InputError(
             f"{where}: mean_e is {width} x {height} pixels of {count} channels, raw.png {size[1]} x {size[0]} of "
-            f"{len(names)}; the truth of the whole frame is needed"
+            f"{len(names)}; give the truth of the whole frame"
         )
     origin = {key: value for key, value in capture.provenance.items() if key not in OF_A_FRAME}
     origin.setdefault("rendering_seed", capture.seed)
@@ -249,7 +249,7 @@ def _relit(light: SensorLight, lux: float | None, scale: float, where: str) -> S
         if scale != 1.0:
             raise InputError("lux and scale: give one of them")
         if not lux > 0:
-            raise InputError(f"lux is {lux:g}; a number above 0 is needed")
+            raise InputError(f"lux is {lux:g}; it must be a number above 0")
         if not lights:
             raise InputError(f"{where}: its lights have no level in lux; give a factor, scale")
         scale = lux / sum(item["lux"] for item in lights)

@@ -59,7 +59,7 @@ def hand_held(shot: Shot, times: float, longest_s: float, most_gain: float) -> n
     """The automatic exposure of a shot at ``times`` its light level: the time first, then the gain."""
     for name, value in (("times", times), ("longest_s", longest_s), ("most_gain", most_gain)):
         if not isinstance(value, (int, float, np.number)) or not 0 < value < np.inf:
-            raise InputError(f"{name}: a number above 0 is needed, not {kind_of(value)}")
+            raise InputError(f"{name}: must be a number above 0, not {kind_of(value)}")
     rate = shot.truth.mean_e.astype(np.float64) * (times / shot.capture.exposure_s)
     automatic_s = noise.auto_exposure_s(rate, shot.capture.camera, noise.Exposure())
     time_s = min(automatic_s, longest_s)

@@ -117,7 +117,7 @@ def sensor_light(
     camera = as_camera(camera)
     scene = as_scene(scene, camera)
     if spp is None:  # which stands for a default in the command line
-        raise InputError("spp is None; a whole number or 'auto' is needed")
+        raise InputError("spp is None; it must be a whole number or 'auto'")
     checks.check_options(spp, seed, diffraction, noise_share, noise_at)
     checks.check_exposure(exposure)
     sampling = Sampling(spp, noise_share, noise_at, seed)

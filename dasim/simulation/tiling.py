@@ -42,7 +42,7 @@ def tiled(tiles: Sequence[tuple[Capture, Truth]], width_px: int, height_px: int)
         height_px: height of each part, a multiple of the mosaic's.
     """
     if not tiles:
-        raise InputError("tiles: at least one capture is needed")
+        raise InputError("tiles: must hold at least one capture")
     first = tiles[0][0]
     cell_height, cell_width = len(first.camera.sensor.mosaic), len(first.camera.sensor.mosaic[0])
     if height_px % cell_height or width_px % cell_width or min(width_px, height_px) <= 0:

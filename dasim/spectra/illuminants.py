@@ -92,7 +92,7 @@ def illuminant(name: str) -> FloatArray:
     ``name`` is one of ``ILLUMINANTS`` or matches one of ``PATTERNS``; InputError otherwise.
     """
     if not isinstance(name, str):
-        raise InputError(f"illuminant: a name such as 'D65' is needed, not {kind_of(name)}")
+        raise InputError(f"illuminant: must be a name such as 'D65', not {kind_of(name)}")
     return _illuminant(name)
 
 

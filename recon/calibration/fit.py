@@ -27,7 +27,7 @@ def check_fits(bank: PsfBank, capture: Capture) -> None:
     Frame sizes may differ, because kernels do not depend on them. Raises InputError, too, if one is of another type.
     """
     if not isinstance(capture, Capture):
-        raise InputError(f"a Capture is needed, not {kind_of(capture)}")
+        raise InputError(f"capture: must be a Capture, not {kind_of(capture)}")
     camera = capture.camera
     if "IR" not in channels(camera.sensor):
         raise InputError(
@@ -35,7 +35,7 @@ def check_fits(bank: PsfBank, capture: Capture) -> None:
             "use recon.develop for the colour picture alone"
         )
     if not isinstance(bank, PsfBank):
-        raise InputError(f"a PsfBank is needed, not {kind_of(bank)}; see recon.calibrate")
+        raise InputError(f"bank: must be a PsfBank, not {kind_of(bank)}; see recon.calibrate")
     if len(bank.depth_m) < 2:
         raise InputError("bank has only one level; depth needs the focus and at least one level in front of it")
     focus = f"{camera.lens.focus_distance_m:g}"

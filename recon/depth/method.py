@@ -67,7 +67,7 @@ def run_method(method: Method, capture: Capture, bank: PsfBank) -> DepthEstimate
     except InputError as error:
         raise InputError(f"{label}: {error}") from None
     if not isinstance(result, DepthEstimate):
-        raise InputError(f"{label}: returns {type(result).__name__}; a recon.DepthEstimate is needed")
+        raise InputError(f"{label}: returns {type(result).__name__}; it must be a recon.DepthEstimate")
     if result.shape != capture.raw_dn.shape:
         raise InputError(
             f"{label}: returns a map of shape {result.shape}, the raw frame has {capture.raw_dn.shape}; "

@@ -65,7 +65,7 @@ def read_mosaic(path: Path) -> Mosaic:
                 if code in tags:
                     raise InputError(f"{where}: has {name}, which is not applied here; convert it to plain raw values")
             if 50711 in tags and _values(tags[50711]) != [1]:
-                raise InputError(f"{where}: its pixels are staggered (CFALayout); rows and columns are needed")
+                raise InputError(f"{where}: its pixels are staggered (CFALayout); only rows and columns can be read")
             if page.compression != tifffile.COMPRESSION.NONE:
                 raise InputError(
                     f"{where}: is compressed ({page.compression.name}); convert it to an uncompressed DNG first"

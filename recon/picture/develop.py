@@ -99,7 +99,7 @@ def linearised(
     height, width = capture.raw_dn.shape
     if min(height, width) < MIN_FRAME_PX:
         raise InputError(
-            f"capture: {width} x {height} pixels are too few; at least {MIN_FRAME_PX} x {MIN_FRAME_PX} are needed"
+            f"capture: {width} x {height} pixels are too few; it must have at least {MIN_FRAME_PX} x {MIN_FRAME_PX}"
         )
     with stage("linearise"):
         raw_e, saturated = mosaic.linearise(capture)

@@ -163,8 +163,8 @@ def test_a_bank_of_another_focus_or_camera_is_refused(scene):
 
 def test_other_values_than_capture_and_bank_are_refused(scene):
     for arguments, message in (
-        ((scene.capture, None), "a PsfBank is needed, not None"),
-        ((recon_scenes.bank(), scene.capture), "a Capture is needed, not a PsfBank"),
+        ((scene.capture, None), "bank: must be a PsfBank, not None"),
+        ((recon_scenes.bank(), scene.capture), "capture: must be a Capture, not a PsfBank"),
     ):
         with pytest.raises(InputError, match=message):
             recon.reconstruct(*arguments)

@@ -49,7 +49,7 @@ def test_maps_without_depth_are_refused(shot):
 
 
 def test_swapped_arguments_are_refused_in_one_line(shot):
-    with pytest.raises(InputError, match="a Capture is needed, not a Truth"):
+    with pytest.raises(InputError, match="must be a Capture, not a Truth"):
         validation.score_map(shot.truth.depth_m, shot.truth, shot.capture)
-    with pytest.raises(InputError, match="a Reconstruction is needed, not a Capture"):
+    with pytest.raises(InputError, match="must be a Reconstruction, not a Capture"):
         validation.score(shot.capture, shot.capture, shot.truth)

@@ -66,7 +66,7 @@ def metric_figures(depth_map: str, depth_m: NDArray, truth: Truth, metrics: Sequ
         for key, value in named.items():
             if not isinstance(value, numbers.Real):
                 raise InputError(
-                    f"metric '{name}': gives {type(value).__name__}; a number, or a dict of numbers, is needed"
+                    f"metric '{name}': gives {type(value).__name__}; it must be a number, or a dict of numbers"
                 )
             meaning = (metric.__doc__ or "your metric").strip().split("\n")[0].rstrip(".")
             figures.append(Figure(f"{depth_map}.{key}", float(value), "1", meaning))

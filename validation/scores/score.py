@@ -85,7 +85,7 @@ def _checked(depth_m: NDArray[Any]) -> NDArray[Any]:
     """A depth map as an array of numbers; raises InputError if it holds no depth."""
     depth_m = np.asarray(depth_m)
     if depth_m.dtype.kind not in "fiu":
-        raise InputError(f"score: a depth map of numbers is needed, not of {depth_m.dtype}")
+        raise InputError(f"score: must be a depth map of numbers, not of {depth_m.dtype}")
     if not (np.isfinite(depth_m) & (depth_m > 0)).any():
         raise InputError("score: the depth map has no depth in any pixel; depths are metres above 0")
     return depth_m
@@ -95,7 +95,7 @@ def _check_kinds(*pairs: tuple[object, type]) -> None:
     """Raise InputError if an argument has the wrong type, for example because two are swapped."""
     for value, kind in pairs:
         if not isinstance(value, kind):
-            raise InputError(f"score: a {kind.__name__} is needed, not {kind_of(value)}; see help(validation.score)")
+            raise InputError(f"score: must be a {kind.__name__}, not {kind_of(value)}; see help(validation.score)")
 
 
 def depth_of_level(level: NDArray[Any], result: Reconstruction) -> FloatArray:

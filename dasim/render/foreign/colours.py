@@ -168,7 +168,7 @@ def read_picture(texture: Any, file: Path) -> Any:
     import mitsuba as mi
 
     if "filename" not in texture:
-        raise InputError(f"{file}: a bitmap names no file; its filename is needed")
+        raise InputError(f"{file}: a bitmap names no file; give its filename")
     path = Path(texture["filename"])
     try:
         bitmap = mi.Bitmap(str(path))

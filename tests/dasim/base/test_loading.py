@@ -67,7 +67,7 @@ def test_file_is_read_anew_even_within_the_resolution_of_its_date(path_kept):
 
 @pytest.mark.parametrize("name", ["own", "own:", ":f", "own.py", "own:a b", "own:f()", ""])
 def test_what_is_no_name_of_a_function_is_refused(name, path_kept):
-    assert "package.module:function or file.py:function is needed" in message(name)
+    assert "must be package.module:function or file.py:function" in message(name)
 
 
 def test_missing_module_file_and_function_are_told_apart(path_kept):

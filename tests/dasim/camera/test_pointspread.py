@@ -230,8 +230,8 @@ def test_psf_is_the_kernel_of_its_depth(da_mobile):
     ("change", "message"),
     [
         ({"channel": "W"}, "channel 'W' is unknown; allowed are R, G, B, IR"),
-        ({"depth_m": 0.0}, "depth_m: a distance above 0, in metres, is needed, not the float 0.0"),
-        ({"depth_m": float("nan")}, "depth_m: a distance above 0, in metres, is needed, not the float nan"),
+        ({"depth_m": 0.0}, "depth_m: must be a distance above 0, in metres, not the float 0.0"),
+        ({"depth_m": float("nan")}, "depth_m: must be a distance above 0, in metres, not the float nan"),
         ({"illuminant": "F99"}, "illuminant 'F99' is unknown"),
         ({"diffraction": "fourier"}, "diffraction 'fourier' is unknown; allowed are wave, airy, off"),
     ],

@@ -146,7 +146,7 @@ def test_gain_and_light_of_a_capture(here, capsys):
         (["shot", "--seed", "-1"], ("seed is -1",)),
         (["shot", "--seed", "1.5"], ("--seed '1.5' is not a whole number",)),
         (["shot", "--frames", "0"], ("frames",)),
-        (["shot", "--frames", "1001"], ("1001 captures; 1000 are allowed",)),
+        (["shot", "--frames", "1001"], ("1001 captures; at most 1000 are allowed",)),
         (["shot", "--noise", "nothing.py:model"], ("nothing.py",)),
     ],
 )

@@ -273,14 +273,14 @@ def test_a_capture_without_provenance_keeps_its_exposure(shot):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"lux": -5.0}, "lux is -5; a number above 0"),
+        ({"lux": -5.0}, "lux is -5; it must be a number above 0"),
         ({"lux": float("nan")}, "lux is nan"),
         ({"lux": 100.0, "scale": 2.0}, "lux and scale: give one"),
         ({"lux": 1e9}, r"the lights would have 2\.85714e\+08 to 7\.14286e\+08 lux; 1e-06 to 1e\+07"),
         ({"scale": 0.0}, "the factor on the light is 0; 1e-09 to"),
         ({"seed": -1}, "seed is -1"),
-        ({"lux": "3"}, "lux: a number is needed"),
-        ({"exposure": 0.1}, r"a dasim\.Exposure is needed"),
+        ({"lux": "3"}, "lux: must be a number"),
+        ({"exposure": 0.1}, r"must be a dasim\.Exposure"),
     ],
 )
 def test_values_that_are_not_allowed(shot, options, message):

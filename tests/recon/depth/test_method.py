@@ -141,7 +141,7 @@ def returns(value):
 
 
 WRONG = {
-    "no estimate": (returns(None), "returns NoneType; a recon.DepthEstimate is needed"),
+    "no estimate": (returns(None), "returns NoneType; it must be a recon.DepthEstimate"),
     "an array": (returns(np.ones((4, 4))), "returns ndarray"),
     "half size": (
         returns(lambda capture: recon.DepthEstimate(level=np.ones((64, 192)))),
