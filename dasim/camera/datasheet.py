@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, Field, model_validator
-from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from dasim.base.toml import Specification
@@ -147,5 +146,7 @@ def saturation_capacity_e(full_well_e: float, prnu: float) -> float:
 
 def full_well_of_capacity_e(capacity_e: float, prnu: float) -> float:
     """Full well whose :func:`saturation_capacity_e` is ``capacity_e``."""
+    from scipy.optimize import brentq  # takes a third of a second to import; only data sheets need it
+
     largest_e = capacity_e / _LOWEST_PEAK * 1.001
     return float(brentq(lambda well_e: saturation_capacity_e(well_e, prnu) - capacity_e, capacity_e, largest_e))

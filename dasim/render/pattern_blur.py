@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from dasim.base.errors import InputError
 from dasim.camera import pointspread, stops, wavefront
@@ -214,6 +213,8 @@ def _in_focus(
 
 def _spread(focus: FloatArray, stop: Stop, blur_px: float, step_px: float) -> FloatArray:
     """The in-focus pattern convolved with the geometric blur, a density of unit integral on the same grid."""
+    from scipy import signal  # takes half a second to import, and few stops need it
+
     transmitted, place = stops.pupil(stop)
     reach = int(np.ceil(blur_px / 2 / step_px)) + 2
     at = -place * blur_px / 2 / step_px + reach  # in cells of a small grid about the middle

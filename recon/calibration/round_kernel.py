@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.optimize import nnls
 
 from dasim.typing import FloatArray
 
@@ -92,5 +91,7 @@ def _tail_start(value: FloatArray, sigma: FloatArray, ring: NDArray[np.int_], ri
 
 def _non_negative(normal: FloatArray, right: FloatArray) -> FloatArray:
     """Non-negative least squares from the normal equations, by their Cholesky factor."""
+    from scipy.optimize import nnls  # takes a third of a second to import
+
     factor = np.linalg.cholesky(normal)
     return nnls(factor.T, np.linalg.solve(factor, right))[0]

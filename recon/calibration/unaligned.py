@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.optimize import minimize, nnls
 
 from dasim.base.errors import InputError
 from dasim.camera.sensor import channels
@@ -90,6 +89,8 @@ def _mosaic_centre(image: FloatArray, noise_e: FloatArray, sampled: NDArray[np.b
     top, left = (int(max(c - FIT_RADIUS_PX, 0)) for c in centre)
     side = int(2 * FIT_RADIUS_PX) + 2
     window = (slice(top, top + side), slice(left, left + side))
+
+    from scipy.optimize import minimize, nnls  # takes a third of a second to import
 
     def misfit(candidate: FloatArray) -> float:
         radius = subpixel_radius(image[0][window].shape, candidate - np.array([top, left]))

@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, signal
+from scipy import fft
 
 from dasim.base.errors import InputError
 from dasim.files.banks import bank_identity
@@ -233,6 +233,8 @@ def _box(mask: NDArray[np.bool_], margin: int) -> tuple[slice, slice]:
 
 def _blurred(stack: Float32Array, kernel: Float32Array) -> Float32Array:
     """A stack [channel, h, w] convolved with each channel's kernel, 0 outside the frame."""
+    from scipy import signal  # takes half a second to import
+
     if kernel.shape[-1] == 1:
         return np.asarray(stack * kernel, np.float32)
     return np.asarray(signal.fftconvolve(stack, kernel, "same", axes=(1, 2)), np.float32)
