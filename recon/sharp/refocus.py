@@ -233,8 +233,8 @@ def _box(mask: NDArray[np.bool_], margin: int) -> tuple[slice, slice]:
 
 def _blurred(stack: Float32Array, kernel: Float32Array) -> Float32Array:
     """A stack [channel, h, w] convolved with each channel's kernel, 0 outside the frame."""
-    from scipy import signal  # takes half a second to import
-
     if kernel.shape[-1] == 1:
         return np.asarray(stack * kernel, np.float32)
+    from scipy import signal  # takes half a second to import
+
     return np.asarray(signal.fftconvolve(stack, kernel, "same", axes=(1, 2)), np.float32)

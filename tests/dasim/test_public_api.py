@@ -67,7 +67,7 @@ def test_import_loads_no_large_library():
 
 
 def test_the_first_functions_load_no_library_that_few_cameras_need():
-    """Rationale: importing these libraries took nearly half of the time of all imports."""
+    """Rationale: with these libraries, importing ``dasim.simulate`` took 1.6 times as long."""
     rare = ("scipy.signal", "scipy.stats", "scipy.optimize")
     code = "import dasim, recon, sys, json; dasim.load_camera, dasim.simulate, dasim.save_capture, recon.reconstruct; "
     code += f"print(json.dumps([name for name in {rare} if name in sys.modules]))"
