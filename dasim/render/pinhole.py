@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,8 +38,9 @@ NODES = CELLS**2
 BORDER_CELLS = 2  # nodes per pixel and axis in a border, where ratios from the light of single rays would be 0.1 % off
 MOMENTS = 3  # moments of the light of a node: its sum, and its sums weighted by the positions of its rays along x and y
 MOST_TILE_PX = 1 << 16  # pixels that are traced at once on a graphics card: the host keeps some 4 KB of each
-ORDER_STREAM = 254  # of random numbers, see :data:`dasim.render.ray_block.WAVELENGTH_STREAM`
+ORDER_STREAM = 254  # of random numbers, for the shift of the nodes' order
 ALONG, DOWN = 5, 7  # shift of the nodes' order from pixel to pixel, odd
+EVEN_PX = 9  # side of the square of pixels over which the nodes of each order are averaged, see :func:`without_dither`
 
 Tile = tuple[slice, slice]  # rows and columns of a frame
 
@@ -49,6 +51,7 @@ class Nodes:
 
     rays: Any  # of each node
     order: Any  # of their wavelengths, see :func:`_dispersed`
+    shift: Any  # of that order in the first pixel
 
 
 class Pictures(NamedTuple):
@@ -102,7 +105,7 @@ def pictures(
     """Pictures through a pinhole by pixels, and by nodes of ``cells`` x ``cells`` per pixel.
 
     The wavelengths of the rays of a pixel are evenly spread, and those of each node among them, so that pixels have the
-    right colours, and nodes nearly.
+    right colours, and nodes nearly (:func:`without_dither`).
 
     Args:
         scene: a Mitsuba scene.
@@ -121,7 +124,8 @@ def pictures(
     rate = np.zeros((2, height, width, len(channels.totals)), np.float32)
     nodes = [plugin.aligned_zeros((height * cells, width * cells, count)) for count in channels.parts]
     bands = [picture[..., band] for picture in nodes for band in range(picture.shape[-1])]
-    trace, seed = _node_pass(shared), sampling.block_seeds(None)
+    shift = int(np.random.SeedSequence((sampling.seed, ORDER_STREAM)).generate_state(1)[0]) % NODES
+    trace, seed = _node_pass(shared, shift), sampling.block_seeds(None)
     pixels = np.arange(height * width).reshape(height, width)
     tiles = list(_tiles(height, width, border_px, sampling.spp))
     with_moments = range(len(bands), len(bands) + channels.collected)
@@ -146,7 +150,41 @@ def pictures(
                 electrons = at_pixels(signal[:, list(parts)].sum(axis=1), responses.place[rows, columns])
                 rate[:, rows, columns, channel] = electrons * ratio_of(*sums)
         sampling.progress((number + 1) / len(tiles))
+    for picture in nodes:
+        without_dither(picture, cells, shift, border_px)
     return Pictures(rate, nodes)
+
+
+def without_dither(picture: NDArray[np.float32], cells: int, shift: int, border_px: int) -> None:
+    """Subtract from nodes [y, x, band] the mean error of their few wavelengths, in place, except in the border.
+
+    Rays of few wavelengths give a node an error that depends on the order of its wavelengths among those of its pixel
+    (up to a quarter of the light, where reflectance rises within a band). Each pixel has nodes of all orders, and the
+    node of an order moves from pixel to pixel. The error of an order is the mean of its nodes over ``EVEN_PX`` pixels
+    around, less that of all nodes. Means over a pixel do not change.
+    """
+    height, width = (length // cells - 2 * border_px for length in picture.shape[:2])
+    if min(height, width) < 1:
+        return
+    row, column = np.ogrid[border_px : border_px + height, border_px : border_px + width]
+    orders = cells**2
+    # Nodes of ``cells`` per pixel have several of the orders, which leave the same remainder.
+    node_of = np.argsort(_dispersed().reshape(CELLS, CELLS)[:: CELLS // cells, :: CELLS // cells].ravel() % orders)
+    first = row * (cells * picture.shape[1]) + column * cells  # of each pixel, in the picture
+    within = (np.arange(orders) // cells * picture.shape[1] + np.arange(orders) % cells)[node_of]
+    shifted = -(shift + ALONG * column + DOWN * row) % orders
+    inner = picture[border_px * cells :, border_px * cells :][: height * cells, : width * cells]
+    nodes = picture.reshape(-1, picture.shape[-1])
+    mean = _around(inner.reshape(height, cells, width, cells, -1).mean(axis=(1, 3)))
+    for order in range(orders):
+        place = first + np.roll(within, -order)[shifted]
+        own = nodes[place]
+        nodes[place] = own - (_around(own) - mean)
+
+
+def _around(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Mean over ``EVEN_PX`` pixels around each pixel of an image [h, w, band]."""
+    return np.asarray(cv2.blur(np.ascontiguousarray(image), (EVEN_PX, EVEN_PX))).reshape(image.shape)
 
 
 def _tiles(height: int, width: int, border: int, spp: int) -> Iterator[tuple[slice, slice, bool]]:
@@ -180,13 +218,13 @@ def _on_grid(values: Float32Array, cells: int) -> FloatArray:
     return squares.transpose(0, 2, 1, 3).reshape(height * cells, width * cells)
 
 
-def _node_pass(shared: Pass) -> Callable[[Batch, int], tuple[list[Any], Any]]:
-    """:func:`_trace_nodes`, by a batch and the rays of a node."""
+def _node_pass(shared: Pass, shift: int) -> Callable[[Batch, int], tuple[list[Any], Any]]:
+    """:func:`_trace_nodes`, by a batch and the rays of a node; ``shift`` is that of :class:`Nodes`."""
     import drjit as dr
     import mitsuba as mi
 
-    trace, order = frozen(_trace_nodes), mi.UInt32(aligned(_dispersed()))
-    return lambda batch, rays: trace(shared, batch, Nodes(dr.opaque(mi.UInt32, rays), order))
+    trace, order, first = frozen(_trace_nodes), mi.UInt32(aligned(_dispersed())), dr.opaque(mi.UInt32, shift)
+    return lambda batch, rays: trace(shared, batch, Nodes(dr.opaque(mi.UInt32, rays), order, first))
 
 
 def _node_sums(
@@ -250,8 +288,7 @@ def _trace_nodes(shared: Pass, batch: Batch, nodes: Nodes) -> tuple[list[Any], A
     number = lanes.sample % nodes.rays
     # Shifted from pixel to pixel: along rows and columns, every node gets all wavelengths.
     column, row = (mi.UInt32(lanes.corner[axis]) for axis in (0, 1))
-    shift = mi.sample_tea_32(batch.seed, ORDER_STREAM)[0] + ALONG * column + DOWN * row
-    order = (dr.gather(mi.UInt32, nodes.order, node) + shift) % NODES
+    order = (dr.gather(mi.UInt32, nodes.order, node) + nodes.shift + ALONG * column + DOWN * row) % NODES
     first = wavelength_places(shared, lanes, number * NODES + order)
     rays = aim(shared, batch, lanes, (film, film, film, first))
     si = shared.scene.ray_intersect(rays.ray, ray_flags=mi.RayFlags.All, coherent=True)
