@@ -63,13 +63,13 @@ def cut_off(
     inside = radius <= end[:, None]
     profiles = np.where(inside, profiles, 0.0)
     if like is None:
-        return profiles / _light(profiles, radius)
-    profiles = profiles / _light(np.where(inside, like, 0.0), radius)
+        return profiles / light(profiles, radius)
+    profiles = profiles / light(np.where(inside, like, 0.0), radius)
     outer = np.where(radius > end[:, None] - rings / 2, profiles, 0.0)
-    return np.asarray(profiles + outer * (1 - _light(profiles, radius)) / _light(outer, radius))
+    return np.asarray(profiles + outer * (1 - light(profiles, radius)) / light(outer, radius))
 
 
-def _light(profiles: FloatArray, radius: FloatArray) -> FloatArray:
+def light(profiles: FloatArray, radius: FloatArray) -> FloatArray:
     """Integral over the plane of profiles [waves, radius] that are linear between nodes, [waves, 1]."""
     low, high = radius[:-1], radius[1:]
     rings = profiles[:, :-1] * (2 * low + high) + profiles[:, 1:] * (low + 2 * high)

@@ -15,7 +15,7 @@ from dasim.camera import pointspread, radial_pattern, stops, wavefront
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.camera.wavefront import Wavefront
-from dasim.render.blur_tables import FLOOR, AberratedRows, aberrated, cut_off, texture
+from dasim.render.blur_tables import FLOOR, AberratedRows, aberrated, cut_off, light, texture
 from dasim.render.radial_blur import (
     DENSITY_BLUR_STEP_PX,
     DENSITY_STEP_PX,
@@ -33,6 +33,8 @@ from dasim.typing import FloatArray
 GUIDE_SHARE = 0.75  # of h in q; the rest is g, which bounds the weights of rays that meet another depth
 TAIL_BOOST = 0.25  # relative increase of q per width of D outside the blur: little light, but from other surfaces
 GUIDE_BANDS = 8  # wavelengths that represent h in q
+NEARBY = 0.2  # largest relative difference of the wavelengths of :func:`over_wavelengths`
+NEARBY_STEPS = 21  # wavelengths over that range: rings of the pattern are averaged up to the fiftieth
 
 
 def tables(
@@ -58,8 +60,10 @@ def tables(
     waves = np.arange(0.0, own_px / (8 * shortest_px) + 2 * WAVES_STEP, WAVES_STEP)
     density = np.maximum(density, FLOOR)
     (angle_step_deg, fronts), rows = wavefront.over_field(camera, stop), None
+    averaged = None
     if all(wavefront.is_flat(front) for front in fronts):
         table = wave = cut_off(radial_pattern.wave_profile(scaled, waves, inner), scaled, 4 * waves + KERNEL_RINGS)
+        averaged = texture(over_wavelengths(wave, scaled))
     else:
         range_nm = shortest_nm, max(nm for nm, _ in bands)
         rows, table = _aberrated(fronts, angle_step_deg, ring, range_nm, scaled, waves)
@@ -92,9 +96,35 @@ def tables(
         envelope=texture(np.maximum.accumulate(density[0, ::-1])[::-1]),
         guide=mi.Float(_guide(radius, blurs, density, wave, scales, reach, inner).astype(np.float32).ravel()),
         wave=texture(table, channels=rows is not None),
+        averaged=averaged,
         plain=Plain(wave.astype(np.float32), px_per_nm, ring.outer, ring.centre, core),
         aberrated=rows,
     )
+
+
+def over_wavelengths(profiles: FloatArray, radius: FloatArray) -> FloatArray:
+    """Profiles [waves, radius] averaged over wavelengths that differ by up to ``NEARBY``, of unit integral.
+
+    Radius and defocus are in units of the wavelength: at 1 + e times the wavelength, the profile is that at both over
+    1 + e, over (1 + e)^2.
+    """
+    total = np.zeros_like(profiles)
+    rows, columns = (np.arange(length) for length in profiles.shape)
+    for step in range(NEARBY_STEPS):
+        longer = 1 + NEARBY * ((2 * step + 1) / NEARBY_STEPS - 1)
+        at = _between(_between(profiles, rows / longer, 0), columns / longer, 1)
+        total += at / longer**2
+    return total / light(total, radius)
+
+
+def _between(values: FloatArray, place: FloatArray, axis: int) -> FloatArray:
+    """Values at fractional indices along an axis, linear between nodes; those at the end beyond it."""
+    last = values.shape[axis] - 1
+    node = np.minimum(place.astype(int), max(last - 1, 0))
+    share = np.minimum(place - node, 1.0)
+    share = share[:, None] if axis == 0 else share
+    before, after = (np.take(values, np.minimum(index, last), axis=axis) for index in (node, node + 1))
+    return np.asarray(before + share * (after - before))
 
 
 def _aberrated(

@@ -19,6 +19,7 @@ from dasim.render import lamps, pupil, transport, wave
 from dasim.render.control_variate import CELLS, Control
 from dasim.render.irradiance import Field
 from dasim.render.plugin import texture
+from dasim.render.radial_blur import RadialBlur
 from dasim.render.wavelengths import Responses, draw_table, frame_density
 from dasim.spectra import grid
 from dasim.typing import FloatArray
@@ -102,6 +103,8 @@ def prepare(
     blur = None
     if stop is not None and max_blur_px is not None:
         blur = wave.blur(camera, stop, density, wave.blur_range_px(camera, max_blur_px, WAVE_BLUR_PX))
+        if control is not None and isinstance(blur, RadialBlur):
+            blur = blur.over_wavelengths()
     pinhole = _to_pinhole(camera)
     axis = mi.Point2f(*(dr.opaque(mi.Float, value) for value in principal_point(camera.sensor)))
     columns = dr.opaque(mi.UInt32, camera.sensor.width_px)

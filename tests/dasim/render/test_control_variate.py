@@ -225,6 +225,72 @@ def test_the_grid_is_as_fine_as_the_kernels_ask():
     assert found == [2, 2, 4, None, 4, None]
 
 
+def test_kernels_over_wavelengths_take_out_the_noise_of_colour(jit, loaded, make_scene, lamp, monkeypatch):
+    """Rationale: rings of single wavelengths give each ray another colour of the surface.
+
+    Set-up: a wall of one colour, whose reflectance rises steeply in near-infrared, in focus, through the hole; rays
+    with the kernels of single wavelengths, and with those averaged over nearby ones.
+
+    Expectation: the averaged ones leave less than 0.7 of the standard deviation of infrared.
+    """
+    from dasim.render import passes
+    from dasim.render.radial_blur import RadialBlur
+
+    wall = {"name": "wall", "shape": "plane", "size_cm": (60, 60), "position_cm": (0, 0, 40)}
+    scene = loaded(make_scene(wall | {"material": "cotton-green"}, lights=[lamp]))
+    camera = cameras.refocused(cameras.cropped("da-mobile", 24, 16), 0.4)
+    also, hole = cameras.load_camera("bayer-mobile"), camera.stops[1]
+    sharp = passes.sharp_pass(scene, camera, passes.Sampling(32, 5), None, also, diffraction="wave", max_blur_px=2.0)
+    control = passes.control_of(scene, camera, hole, sharp.fine, max_blur_px=2.0, field=None)
+    optics = {"diffraction": "wave", "max_blur_px": 2.0, "field": None, "illuminant": "D65"}
+
+    def noise() -> float:
+        part = passes.stop_ratios(scene, camera, hole, passes.Sampling(16, 3), control=control, **optics).value[..., 3]
+        return float(part.std() / part.mean())
+
+    averaged = noise()
+    monkeypatch.setattr(RadialBlur, "over_wavelengths", lambda self: self)
+    assert averaged < 0.7 * noise()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("behind", [0.0, 1.5])
+def test_kernels_over_wavelengths_keep_the_contrast(jit, monkeypatch, behind):
+    """Rationale: averaged kernels differ from those of single wavelengths; the control variate adds the difference.
+
+    Set-up: a Siemens star in focus, and with the focus 1.5 dioptres behind it; the mean of 16 pictures of 64 samples
+    through the hole, less the control variate, with the averaged kernels and with those of single wavelengths.
+
+    Expectation: the contrast, by regression of one mean on the other, differs by at most 0.1 % in every channel. It is
+    measured to 0.02 %.
+    """
+    import dasim
+    from dasim.render.radial_blur import RadialBlur
+    from dasim.simulation import exact, rendering
+    from dasim.simulation.simulate import prepare
+
+    def silent(*_):
+        pass
+
+    camera = dasim.focused(dasim.cropped("da-mobile", 96, 72), "siemens-star")
+    vergence = 1 / camera.lens.focus_distance_m - behind
+    lens = camera.lens.model_copy(update={"focus_distance_m": 1 / vergence})
+    view = prepare(dasim.load_scene("siemens-star"), camera.model_copy(update={"lens": lens}), None, None, silent)
+    sharp = exact.sharp_pictures(view, rendering.Sampling(32, 0.25, 50.0, 0), silent)
+    spp = np.full((1, 1), 64)
+
+    def mean() -> np.ndarray:
+        parts = [rendering.stop_picture(view, sharp, 1, sharp.field, spp, seed, silent) for seed in range(16)]
+        return np.mean([part.value - part.variate for part in parts], axis=0)
+
+    averaged = mean()
+    monkeypatch.setattr(RadialBlur, "over_wavelengths", lambda self: self)
+    plain = mean()
+    contrast = plain - plain.mean(axis=(0, 1))
+    error = ((averaged - plain) * contrast).sum(axis=(0, 1)) / (contrast**2).sum(axis=(0, 1))
+    np.testing.assert_allclose(error, 0.0, atol=0.001)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("f_number", [1.4, 2.8])
 def test_the_variate_of_a_fast_lens_has_no_mean(jit, f_number):

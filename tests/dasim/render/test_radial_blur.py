@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dasim.camera import radiometry
+from dasim.camera import radial_pattern, radiometry
+from dasim.render import radial_blur, radial_tables
 from dasim.render.wavelengths import draw_density
 from dasim.spectra import grid
 
@@ -24,6 +25,7 @@ def blurs(jit, da_mobile):
     return pairs
 
 
+@pytest.mark.parametrize("averaged", [False, True])
 @pytest.mark.parametrize("stop", [0, 1])
 @pytest.mark.parametrize(
     ("blur_px", "expected_px", "slope"),
@@ -38,10 +40,11 @@ def blurs(jit, da_mobile):
         (20, 0, (0, 0)),
     ],
 )
-def test_weights_average_one(blurs, da_mobile, stop, blur_px, expected_px, slope):
+def test_weights_average_one(blurs, da_mobile, stop, blur_px, expected_px, slope, averaged):
     """Rationale: an even area must not change, and light must not get lost where another depth is met than expected.
 
-    Set-up: a million draws at one depth, aimed at a surface of that depth or another, facing the camera or slanted.
+    Set-up: a million draws at one depth, aimed at a surface of that depth or another, facing the camera or slanted;
+    with the kernels of single wavelengths, and those averaged over nearby ones.
     Expectation: mean weight 1 within 0.002 at the depth that was expected; where another is met, what cannot be drawn
     (light beyond 36 lambda N, 2 / (36 pi^2) = 0.6 %) may lack. rho lies on the stop, and the weighted displacement has
     the mean radius of the kernel within its noise.
@@ -50,6 +53,7 @@ def test_weights_average_one(blurs, da_mobile, stop, blur_px, expected_px, slope
     import mitsuba as mi
 
     blur, density = blurs[stop]
+    blur = blur.over_wavelengths() if averaged else blur
     count = 1 << 20
     rng = np.random.default_rng(20)
     cdf = np.cumsum(density) / np.sum(density)
@@ -65,6 +69,34 @@ def test_weights_average_one(blurs, da_mobile, stop, blur_px, expected_px, slope
     lost = 0.006 if expected_px != blur_px or any(slope) else 0.0
     assert 1 - lost - MEAN_WEIGHT < weight.mean() < 1 + MEAN_WEIGHT
     assert (weight**2).mean() < (1.7 if not any(slope) else 2.5), "the price in noise is small"
+
+
+def test_averaged_kernels_have_the_mean_contrast_of_their_wavelengths():
+    """Set-up: the pattern of a disc in focus, averaged over wavelengths that differ by up to a fifth.
+
+    Expectation: its MTF at six frequencies, by a Hankel transform, is the mean of the closed form for a disc over
+    these wavelengths, within 0.003: light beyond 60 lambda N, 0.3 %, is left out. The plain pattern misses this by
+    more than 0.01 at the highest frequency.
+    """
+    from scipy.special import j0
+
+    radius = np.arange(0.0, 60.0, radial_blur.RADIUS_STEP)
+    plain = radial_pattern.wave_profile(radius, np.zeros(1), 0.0)
+    averaged = radial_tables.over_wavelengths(plain, radius)
+    frequency = np.array([0.2, 0.3, 0.4, 0.6, 0.75, 0.9])  # of 1 / (lambda N)
+
+    def transformed(profile: np.ndarray) -> np.ndarray:
+        light = profile[0] * radius
+        return j0(2 * np.pi * np.outer(frequency, radius)) @ light / light.sum()
+
+    def disc(frequency: np.ndarray) -> np.ndarray:
+        inside = np.minimum(frequency, 1.0)
+        return 2 / np.pi * (np.arccos(inside) - inside * np.sqrt(1 - inside**2))
+
+    nearby = 1 + radial_tables.NEARBY * np.linspace(-1, 1, 2001)
+    expected = disc(np.multiply.outer(nearby, frequency)).mean(axis=0)
+    np.testing.assert_allclose(transformed(averaged), expected, atol=0.003)
+    assert abs(transformed(plain) - expected)[-1] > 0.01
 
 
 def test_thin_ring_far_out_of_focus_is_drawn(jit, da_mobile):

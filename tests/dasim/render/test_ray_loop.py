@@ -300,8 +300,9 @@ def test_nodes_of_an_even_wall_are_even(make_scene, loaded, lamp, jit, monkeypat
     Expectation: that step reduces the standard deviation of the nodes to less than half in each band, and changes
     neither the means of pixels nor the border.
     """
-    wall = {"name": "wall", "shape": "plane", "size_cm": (60, 60), "position_cm": (0, 0, 60), "material": "cotton-green"}
-    scene, camera = loaded(make_scene(wall, lights=[lamp])), cameras.cropped("da-mobile", 24, 16)
+    wall = {"name": "wall", "shape": "plane", "size_cm": (60, 60), "position_cm": (0, 0, 60)}
+    scene = loaded(make_scene(wall | {"material": "cotton-green"}, lights=[lamp]))
+    camera = cameras.cropped("da-mobile", 24, 16)
     monkeypatch.setattr(control_variate, "CELLS", cells)
     even = _fine(scene, camera)
     monkeypatch.setattr(pinhole, "without_dither", lambda *_: None)
