@@ -14,6 +14,10 @@ rays hit, and reduces its noise. (Both are ratios of sums, whose bias falls as 1
 needs to be correct for this, but F must match them: f interpolates s linearly between its nodes, and F is the integral
 of exactly that function. The rays of s are not those whose picture it corrects.
 
+Rays are weighted with h averaged over nearby wavelengths (``over_wavelengths`` of
+:class:`dasim.render.radial_blur.RadialBlur`), in the picture and in C, but F has the h of single wavelengths. The mean
+of f is then s, blurred by the difference of both kernels, and subtracting f takes it out of the picture, too.
+
 With one s per channel, the noise due to wavelength remained: more than half of the rays in three of four random scenes.
 
 The depth is the one that the pixel centre sees, rounded to one of a few blur levels, so that F takes one convolution

@@ -52,7 +52,7 @@ ONE_DEPTH_SHARE = 0.97
 
 
 class Ratios(NamedTuple):
-    """A picture and its control variate, whose expectation is 0, [h, w, channel].
+    """A picture and its control variate, whose expectation is what the picture has too much, nearly 0, [h, w, channel].
 
     Both are ratios of sums over the rays, whose bias :func:`dasim.simulation.rendering_noise.measured` takes out by the
     denominators.
