@@ -15,8 +15,8 @@ needs to be correct for this, but F must match them: f interpolates s linearly b
 of exactly that function. The rays of s are not those whose picture it corrects.
 
 Rays are weighted with h averaged over nearby wavelengths (``over_wavelengths`` of
-:class:`dasim.render.radial_blur.RadialBlur`), in the picture and in C, but F has the h of single wavelengths. The mean
-of f is then s, blurred by the difference of both kernels, and subtracting f takes it out of the picture, too.
+:class:`dasim.render.radial_blur.RadialBlur`), in the picture and in f. What the picture then lacks is F with the h of
+single wavelengths less F with the averaged one, which is added to it.
 
 With one s per channel, the noise due to wavelength remained: more than half of the rays in three of four random scenes.
 
@@ -117,6 +117,7 @@ class Control:
     reach_px: Any  # radius of the kernel of each level
     centre: Any  # centre of the stop, in radii of the lens
     expected: NDArray[np.float32]  # F, [pixel, channel]
+    lacking: NDArray[np.float32] | None  # what the kernels of the rays lack, [pixel, channel]; None for nothing
 
     def at(self, pixel: Any, place: Any, w: Any) -> tuple[list[Any], Any, Any]:
         """Values of s per band at positions w in the blur of each pixel; also the visible blur of the pixel's level and
@@ -146,6 +147,7 @@ def control(
     tail_px: float,
     profiles: Callable[[FloatArray, FloatArray], FloatArray],
     points: int = GRIDS[0],
+    of_single: Callable[[FloatArray, FloatArray], FloatArray] | None = None,
 ) -> Control:
     """The control variate of a stop whose kernels are radial about its centre.
 
@@ -158,6 +160,7 @@ def control(
         profiles: kernels [level, radius, band, channel] for visible blurs [level] at radii [radius], in pixels; of any
             scale per channel.
         points: per pixel of the grid of F, along each axis, see :func:`points_of`.
+        of_single: the kernels of single wavelengths, as ``profiles``, if those are averaged.
     """
     import drjit as dr
     import mitsuba as mi
@@ -167,9 +170,13 @@ def control(
     reach = outer * np.abs(levels) / 2 + tail_px
     step_px = RADIUS_STEP / points
     radius = np.arange(0.0, reach.max() + 2 * step_px, step_px)
-    table = profiles(levels, radius) * (radius <= reach[:, None])[..., None, None]
+    kinds = [profiles] if of_single is None else [profiles, of_single]
+    table = np.concatenate([kernels(levels, radius) for kernels in kinds], axis=-1)
+    table *= (radius <= reach[:, None])[..., None, None]
     shift = np.multiply.outer(levels / 2, centre)
-    expected = _expected(fine, level.reshape(blur_px.shape), table, reach, shift, points)
+    expected, *others = np.split(
+        _expected(fine, level.reshape(blur_px.shape), table, reach, shift, points), len(kinds), axis=-1
+    )
     height, width = (extent / fine.cells for extent in fine.ratio.shape[:2])
     return Control(
         picture=texture(fine.ratio, wrap_mode=dr.WrapMode.Clamp),
@@ -182,6 +189,7 @@ def control(
         reach_px=mi.Float(np.append(reach, reach[-1]).astype(np.float32)),
         centre=mi.Point2f(*(dr.opaque(mi.Float, value) for value in centre)),
         expected=expected,
+        lacking=others[0] - expected if others else None,
     )
 
 

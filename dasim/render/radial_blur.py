@@ -16,7 +16,7 @@ from dasim.render import control_variate, field_angle
 from dasim.render.blur_tables import AberratedRows, Drawn, texel
 from dasim.render.control_variate import Control, Fine
 from dasim.render.wavelengths import tents
-from dasim.typing import FloatArray
+from dasim.typing import Float32Array, FloatArray
 
 OFFSET_NODES = 1 << 15  # of the inverse cumulative distribution of |delta|
 TAIL_RINGS = 40.0  # |delta| is sampled up to this many lambda N; 0.5 % of the light of an Airy pattern lies beyond
@@ -34,6 +34,7 @@ class Plain(NamedTuple):
     """What the control variate's kernels are made from."""
 
     profiles: FloatArray  # [waves, radius] h in units of lambda N, without aberrations' turns
+    averaged: Float32Array | None  # the same over nearby wavelengths; None with aberrations
     px_per_nm: float
     outer: float
     centre: tuple[float, float]
@@ -91,9 +92,9 @@ class RadialBlur:
 
         At a place of the blur, h of single wavelengths has rings at different radii. A ray then has one colour of the
         surface too much and the other too little, which is most of the noise on surfaces of one colour. Kernels
-        averaged over wavelengths that differ by up to a fifth have nearly the same width. What is left of the
-        difference, 0.1 % of contrast where it is 40 %, the control variate adds, whose F has the kernels h of single
-        wavelengths.
+        averaged over wavelengths that differ by up to a fifth have nearly the same width. The difference, 0.1 % of
+        contrast where it is 40 % and up to 4 % of the peak of a point's picture, is added from the picture of the
+        control variate (``lacking`` of :class:`dasim.render.control_variate.Control`).
         """
         return self if self.averaged is None else replace(self, wave=self.averaged)
 
@@ -165,10 +166,13 @@ class RadialBlur:
             return None
 
         def profiles(levels: FloatArray, radius: FloatArray) -> FloatArray:
+            return self.profiles(spectrum, levels, radius, self.plain.averaged)
+
+        def of_single(levels: FloatArray, radius: FloatArray) -> FloatArray:
             return self.profiles(spectrum, levels, radius)
 
         return control_variate.control(
-            fine, blur_px, self.plain.outer, self.plain.centre, self.reach_px, profiles, points
+            fine, blur_px, self.plain.outer, self.plain.centre, self.reach_px, profiles, points, of_single
         )
 
     @property
@@ -184,17 +188,22 @@ class RadialBlur:
         """Points per pixel of a grid that has all of the kernels, see :func:`control_variate.points_of`."""
         return control_variate.points_of(float(spectrum.nm.min()) * self.plain.px_per_nm, cells)
 
-    def profiles(self, spectrum: Spectrum, levels: FloatArray, radius: FloatArray) -> FloatArray:
+    def profiles(
+        self, spectrum: Spectrum, levels: FloatArray, radius: FloatArray, averaged: Float32Array | None = None
+    ) -> FloatArray:
         """Kernels for visible blurs [level] at radii [radius] in pixels, weighted by a spectrum,
         [level, radius, band, channel].
+
+        The kernels are those of single wavelengths, or of a table that is ``averaged`` over nearby ones.
         """
+        table = self.plain.profiles if averaged is None else averaged
         total = np.zeros((len(levels), len(radius), *spectrum.weight.shape[1:]))
         for wavelength, moved, weight in zip(*spectrum, strict=True):
             scale = wavelength * self.plain.px_per_nm
             own = self.plain.outer * np.abs(levels - moved)
             rows, columns = own / (8 * scale) / WAVES_STEP, radius / scale / RADIUS_STEP
             at = np.meshgrid(rows, columns, indexing="ij")
-            kernel = ndimage.map_coordinates(self.plain.profiles, at, order=1, mode="nearest") / scale**2
+            kernel = ndimage.map_coordinates(table, at, order=1, mode="nearest") / scale**2
             total += kernel[..., None, None] * weight
         return total
 

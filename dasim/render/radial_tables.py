@@ -63,7 +63,7 @@ def tables(
     averaged = None
     if all(wavefront.is_flat(front) for front in fronts):
         table = wave = cut_off(radial_pattern.wave_profile(scaled, waves, inner), scaled, 4 * waves + KERNEL_RINGS)
-        averaged = texture(over_wavelengths(wave, scaled))
+        averaged = over_wavelengths(wave, scaled).astype(np.float32)
     else:
         range_nm = shortest_nm, max(nm for nm, _ in bands)
         rows, table = _aberrated(fronts, angle_step_deg, ring, range_nm, scaled, waves)
@@ -96,8 +96,8 @@ def tables(
         envelope=texture(np.maximum.accumulate(density[0, ::-1])[::-1]),
         guide=mi.Float(_guide(radius, blurs, density, wave, scales, reach, inner).astype(np.float32).ravel()),
         wave=texture(table, channels=rows is not None),
-        averaged=averaged,
-        plain=Plain(wave.astype(np.float32), px_per_nm, ring.outer, ring.centre, core),
+        averaged=None if averaged is None else texture(averaged),
+        plain=Plain(wave.astype(np.float32), averaged, px_per_nm, ring.outer, ring.centre, core),
         aberrated=rows,
     )
 

@@ -52,7 +52,7 @@ ONE_DEPTH_SHARE = 0.97
 
 
 class Ratios(NamedTuple):
-    """A picture and its control variate, whose expectation is what the picture has too much, nearly 0, [h, w, channel].
+    """A picture and its control variate, whose expectation is 0, [h, w, channel].
 
     Both are ratios of sums over the rays, whose bias :func:`dasim.simulation.rendering_noise.measured` takes out by the
     denominators.
@@ -220,6 +220,8 @@ def _trace(
             variate, variate_light = _sum_ratio(
                 block, (rays.seen[channel], rays.kernel[channel]), expected_light, expected
             )
+            if shared.control.lacking is not None:
+                ratio += shared.control.lacking[block.pixels, channel]
         keep(channel, Ratios(ratio, variate, light, variate_light))
 
 

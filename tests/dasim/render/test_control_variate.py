@@ -256,7 +256,7 @@ def test_kernels_over_wavelengths_take_out_the_noise_of_colour(jit, loaded, make
 @pytest.mark.slow
 @pytest.mark.parametrize("behind", [0.0, 1.5])
 def test_kernels_over_wavelengths_keep_the_contrast(jit, monkeypatch, behind):
-    """Rationale: averaged kernels differ from those of single wavelengths; the control variate adds the difference.
+    """Rationale: averaged kernels differ from those of single wavelengths, and the difference is added.
 
     Set-up: a Siemens star in focus, and with the focus 1.5 dioptres behind it; the mean of 16 pictures of 64 samples
     through the hole, less the control variate, with the averaged kernels and with those of single wavelengths.
