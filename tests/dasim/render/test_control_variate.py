@@ -298,7 +298,8 @@ def test_points_keep_their_peak(jit, monkeypatch):
 
     Set-up: the small source of claim ``lens-errors`` through the hole, with the kernels of single wavelengths, and with
     averaged ones with and without what these lack.
-    Expectation: what they lack brings the peak to within 0.01 of that of single wavelengths; without it, it is 0.02 off.
+    Expectation: what they lack brings the peak to within 1 % of that of single wavelengths; without it, the peak is
+    more than 2 % off.
     """
     from dasim.render.radial_blur import RadialBlur
     from validation.claims.optics import lens_errors
