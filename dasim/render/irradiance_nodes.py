@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.render.light_spectra import NODES
 from dasim.typing import Float32Array, FloatArray
 
 AGREEMENT = 0.15  # largest relative difference of irradiance between neighbours
@@ -25,6 +26,8 @@ SAME_DEPTH = 0.02  # largest relative difference of 1/z per node of distance
 # By the distance of averaged nodes: least cosine between normals, and largest relative difference between the mean of
 # a pair and the node in its middle.
 SMOOTHING = {1: (SAME_NORMAL, AGREEMENT), 2: (0.998, 0.02), 4: (0.998, 0.02)}
+CERTAIN = 2.0  # standard errors of a difference by which it must exceed these bounds before nodes count as different
+DIRECTION_GROUPS = NODES // 4  # of a node: the directions of a group carry the same four wavelengths, evenly spaced
 WIDEST = 0.015  # largest distance of averaged nodes beyond neighbours, as a tangent seen from the lens
 AROUND = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dy, dx) != (0, 0)]
 
@@ -85,20 +88,33 @@ def smoothed(ratio: Float32Array, nodes: Nodes, spectra: FloatArray, apart: floa
 
     The noise of a node affects all pixels near it, and more samples per pixel do not reduce it. Each pass uses
     neighbours twice as far away as the previous pass, except where their irradiance or surface differs (edge-avoiding
-    a-trous wavelets: Dammertz et al., High Performance Graphics 2010). Neighbours are used in opposite pairs, whose
-    mean is exact where irradiance changes linearly. Elsewhere its error grows with the square of their distance, so
-    coarse grids are averaged over direct neighbours only. ``apart`` is the spacing of the nodes, as a tangent seen from
-    the lens.
+    a-trous wavelets: Dammertz et al., High Performance Graphics 2010). Differences within their own noise do not count,
+    which is estimated from the groups of wavelengths that have directions of their own, and follows the averages from
+    pass to pass (Schied et al., High Performance Graphics 2017). Neighbours are used in opposite pairs, whose mean is
+    exact where irradiance changes linearly. Elsewhere its error grows with the square of their distance, so coarse
+    grids are averaged over direct neighbours only. ``apart`` is the spacing of the nodes, as a tangent seen from the
+    lens.
     """
     weight_of_light = spectra.mean(axis=-1) / spectra.mean(axis=-1).sum()
+    variance = _variance(ratio, nodes, weight_of_light)
     for step, (aligned, agreement) in SMOOTHING.items():
         if step > 1 and step * apart > WIDEST:
             break
-        level = (ratio.mean(axis=-1) * weight_of_light).sum(axis=-1)
+        level, of_level = (ratio.mean(axis=-1) * weight_of_light).sum(axis=-1), variance
         if step == 1:
-            level = _mean_around(level, nodes)
-        ratio = _averaged(ratio, nodes, level, step, aligned, agreement)
+            level, of_level = _mean_around(level, nodes), variance / (1 + len(AROUND))
+        ratio, variance = _averaged(ratio, variance, nodes, (level, np.sqrt(of_level)), step, aligned, agreement)
     return ratio
+
+
+def _variance(ratio: Float32Array, nodes: Nodes, weight_of_light: FloatArray) -> FloatArray:
+    """Variance of the level of each node by the noise of its directions, from the nodes around it."""
+    groups = [
+        (ratio[..., group::DIRECTION_GROUPS].mean(axis=-1) * weight_of_light).sum(axis=-1)
+        for group in range(DIRECTION_GROUPS)
+    ]
+    own = np.var(groups, axis=0, ddof=1) / DIRECTION_GROUPS
+    return _mean_around(_mean_around(own, nodes), nodes)
 
 
 def _mean_around(level: FloatArray, nodes: Nodes) -> FloatArray:
@@ -111,32 +127,47 @@ def _mean_around(level: FloatArray, nodes: Nodes) -> FloatArray:
 
 
 def _averaged(
-    ratio: Float32Array, nodes: Nodes, level: FloatArray, step: int, aligned: float, agreement: float
-) -> Float32Array:
+    ratio: Float32Array,
+    variance: FloatArray,
+    nodes: Nodes,
+    level: tuple[FloatArray, FloatArray],
+    step: int,
+    aligned: float,
+    agreement: float,
+) -> tuple[Float32Array, FloatArray]:
     """One pass of :func:`smoothed`: with pairs of neighbours ``step`` nodes away whose levels agree, and whose mean
-    level differs from that of the node by less than the share ``agreement``.
+    level differs from that of the node by less than the share ``agreement``. ``level`` has the levels and their
+    standard deviations. Also returns the ``variance`` after the pass.
     """
-    weight, pairs = np.full(len(level), 4.0, np.float32), []
+    weight, pairs = np.full(len(variance), 4.0, np.float32), []
+    spread = 16 * variance
+    light, noise = level
     for dy, dx in ((0, step), (step, 0), (step, step), (step, -step)):
         here, after = nodes.beside(dy, dx)
         before = nodes.beside(-dy, -dx)[1]
         is_pair = (before >= 0) & (after >= 0)
         here, pair = here[is_pair], (before[is_pair], after[is_pair])
-        same = np.abs((level[pair[0]] + level[pair[1]]) / 2 - level[here]) < agreement * level[here]
+        own, error = light[here], CERTAIN * noise[here]
+        # The variances of these differences are 1.5 times and twice that of a node.
+        bound = np.maximum(agreement * own, np.sqrt(1.5) * error)
+        same = np.abs((light[pair[0]] + light[pair[1]]) / 2 - own) < bound
+        bound = np.maximum(AGREEMENT * own, np.sqrt(2.0) * error)
         for there in pair:
-            same &= np.abs(level[there] - level[here]) < AGREEMENT * level[here]
+            same &= np.abs(light[there] - own) < bound
             same &= nodes.same_surface(here, there, aligned, step)
         share = 1.0 if dy and dx else 2.0
-        weight[here[same]] += 2 * share
-        pairs.append((share, here[same], pair[0][same], pair[1][same]))
+        here, before, after = here[same], pair[0][same], pair[1][same]
+        weight[here] += 2 * share
+        spread[here] += share**2 * (variance[before] + variance[after])
+        pairs.append((share, here, before, after))
     result = np.empty_like(ratio)
-    for light in range(ratio.shape[1]):  # apart: with several lights, all of a large frame take gigabytes
-        own = ratio[:, light]
-        total = 4 * own
+    for light_number in range(ratio.shape[1]):  # apart: with several lights, all of a large frame take gigabytes
+        of_light = ratio[:, light_number]
+        total = 4 * of_light
         for share, here, before, after in pairs:
-            total[here] += share * (own[before] + own[after])
-        result[:, light] = total / weight[:, None]
-    return result
+            total[here] += share * (of_light[before] + of_light[after])
+        result[:, light_number] = total / weight[:, None]
+    return result, np.asarray(spread / np.square(weight))
 
 
 def clamped(nodes: Nodes) -> FloatArray:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dasim.render import backend, irradiance_nodes, lamps, light_spectra
 from dasim.render.frozen import frozen
 from dasim.render.irradiance import PARTS, SPAN_NM, STRIDE_PX, Field, lambertian, towards_camera
-from dasim.render.irradiance_nodes import Nodes
+from dasim.render.irradiance_nodes import DIRECTION_GROUPS, Nodes
 from dasim.render.lamps import from_all_around
 from dasim.render.light_paths import power_heuristic, radiance_by_light
 from dasim.render.light_spectra import NODES, Shares
@@ -308,14 +308,13 @@ def _traced(
     import drjit as dr
     import mitsuba as mi
 
-    groups = NODES // 4
-    block = directions // groups  # directions of a group, summed together
+    block = directions // DIRECTION_GROUPS  # directions of a group, summed together
     values, (*about, near) = traced(*lit, rays, dr.opaque(mi.UInt32, directions), dr.opaque(mi.UInt32, block))
     first = dr.arange(mi.UInt32, dr.width(near) // directions) * directions
     about = [dr.gather(mi.Float, value, first) for value in about]
     about.append(dr.block_sum(near, directions) / directions)
     dr.eval(about)
-    sums = [np.array(dr.block_sum(value, block)).reshape(-1, groups) / block for value in values]
+    sums = [np.array(dr.block_sum(value, block)).reshape(-1, DIRECTION_GROUPS) / block for value in values]
     geometry = np.stack([np.array(at) for at in about], axis=-1)
     irradiance = np.concatenate(sums, axis=1).reshape(-1, lit[2].count, NODES)
     return irradiance.astype(np.float32, copy=False), geometry.astype(float)
@@ -331,13 +330,12 @@ def _trace_points(
     import mitsuba as mi
 
     lanes = dr.width(rays.slope)
-    groups = NODES // 4
     sample = dr.arange(mi.UInt32, lanes) % directions
     group = sample // block
     wavelengths = mi.Spectrum(0.0)
     step = SPAN_NM / (NODES - 1)
     for k in range(4):
-        wavelengths[k] = float(grid.WAVELENGTH_NM[0]) + mi.Float(group + k * groups) * step
+        wavelengths[k] = float(grid.WAVELENGTH_NM[0]) + mi.Float(group + k * DIRECTION_GROUPS) * step
     ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(0.0), dr.normalize(mi.Vector3f(rays.slope.x, rays.slope.y, 1.0))))
     ray.wavelengths = wavelengths
     si = scene.ray_intersect(ray, ray_flags=mi.RayFlags.All, coherent=True)
@@ -347,7 +345,7 @@ def _trace_points(
 
     # The nodes of a tile use different parts of their directions for a group of wavelengths, so that the directions of
     # the group are evenly distributed over the tile, too.
-    number = sample ^ ((rays.within % groups) * block)
+    number = sample ^ ((rays.within % DIRECTION_GROUPS) * block)
     numbers = Sobol(rays.points, rays.within * directions + number, rays.tile)
     place, aim_at = numbers.next_2d(), numbers.next_2d()
     sampler = mi.load_dict({"type": "independent"})

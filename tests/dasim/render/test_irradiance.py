@@ -51,6 +51,22 @@ def test_noise_of_an_even_wall_falls_to_an_eighth() -> None:
     assert abs(middle.mean() - 1) < 0.001
 
 
+def test_differences_within_the_noise_of_the_directions_are_averaged() -> None:
+    """Set-up: each node has a standard error of 15 % from independent directions for each wavelength, and one side of
+    the wall gets twice the light. Expectation: the noise of each side falls to a fifth, and the step remains.
+    """
+    light = np.where(np.arange(SHAPE[1]) < 32, 1.0, 2.0) * np.ones(SHAPE)
+    noise = np.random.default_rng(0).normal(1, 0.15 * np.sqrt(8), (light.size, 1, 8))
+    result = smoothed(levels(light) * noise, nodes_of(plane()), SPECTRA, APART).mean(axis=-1).reshape(SHAPE)
+    left, right = result[8:-8, 8:24], result[8:-8, 40:-8]
+    assert left.std() < 0.15 / 5
+    assert right.std() < 2 * 0.15 / 5
+    assert left.mean() == pytest.approx(1, rel=0.01)
+    assert right.mean() == pytest.approx(2, rel=0.01)
+    assert result[8:-8, 29:31].mean() < 1.1
+    assert result[8:-8, 33:35].mean() > 1.9
+
+
 def test_each_of_several_lights_is_averaged_by_itself() -> None:
     """Set-up: two lights of one spectrum, in single precision, as they are traced; the noise of the second is nine
     times that of the first, upside down. Expectation: so is the change by averaging, with weights of both in common.
