@@ -1,10 +1,10 @@
 """Irradiance from extended sources and from other surfaces, interpolated where it is smooth (JIT variants).
 
-The irradiance of a Lambertian surface from the sky and from its surroundings changes little from pixel to pixel, but
-accounts for most of the cost and the noise of a picture. It is traced once, on a grid of points that the lens sees,
-with many directions each, and interpolated: Ward, Rubinstein and Clear, "A ray tracing solution for diffuse
-interreflection", SIGGRAPH 1988. Lamps are excluded: every ray samples them where it lands, so that shadows are sharp
-(:mod:`dasim.render.lamps`).
+The irradiance of a Lambertian surface, bare or beneath a coat (:mod:`dasim.render.coats`), from the sky and from its
+surroundings changes little from pixel to pixel, but accounts for most of the cost and the noise of a picture. It is
+traced once, on a grid of points that the lens sees, with many directions each, and interpolated: Ward, Rubinstein and
+Clear, "A ray tracing solution for diffuse interreflection", SIGGRAPH 1988. Lamps are excluded: every ray samples them
+where it lands, so that shadows are sharp (:mod:`dasim.render.lamps`).
 
 Over wavelength, irradiance is smooth only relative to the spectrum of its source. Each distinct spectrum therefore has
 its own grid; all grids share the rays.
@@ -14,9 +14,9 @@ Cells in which rays would find no irradiance are refined (:mod:`dasim.render.irr
 A ray uses the corners of its cell that lie on its own surface. If all four do and receive nearly the same irradiance,
 linear interpolation is accurate to a fraction of their differences. At depth discontinuities and creases, where fewer
 corners remain, each of them must agree with the nodes around it. In both cases, Ward's measure limits the distance from
-the point to the corners relative to the distance of the surroundings, which is short beneath objects. Elsewhere, and on
-surfaces that are not Lambertian, rays are traced by a path tracer. The claim ``interreflection`` compares pictures with
-those of the path tracer alone.
+the point to the corners relative to the distance of the surroundings, which is short beneath objects. Elsewhere, on
+other surfaces, and for the gloss of coats, rays are traced by a path tracer. The claim ``interreflection`` compares
+pictures with those of the path tracer alone.
 
 Tested in tests/dasim/render/test_irradiance.py and tests/dasim/render/test_passes.py.
 """
@@ -63,6 +63,7 @@ class Field:
     spectrum_nodes: int  # of that texture
     share: float  # of the frame and its margin, where cells are usable
     lamps: Grid | None  # None where every ray draws one emitter
+    coats: Any  # see :func:`dasim.render.coats.table`
 
     def at(self, si: Any, active: Any) -> tuple[Any, Any, Cell]:
         """Spectral irradiance at a surface point, W m^-2 nm^-1, where it is known, and the cell of the grid."""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.render import backend, irradiance_nodes, lamps, light_spectra
+from dasim.render import backend, coats, irradiance_nodes, lamps, light_spectra
 from dasim.render.frozen import frozen
 from dasim.render.irradiance import PARTS, SPAN_NM, STRIDE_PX, Field, lambertian, towards_camera
 from dasim.render.irradiance_nodes import DIRECTION_GROUPS, Nodes
@@ -76,7 +76,8 @@ def field(
         spectra = np.stack([light_spectra.above_zero(curve) for curve in lights.spectra])
         at_nm = light_spectra.FINE_NM
     lit = np.stack([np.interp(light_spectra.nodes_nm(), at_nm, curve) for curve in spectra])
-    tracer = _Tracer(scene, integrator, lights.shares(), lit, start, px_per_m, frozen(_trace_points))
+    coated = coats.table(scene)
+    tracer = _Tracer(scene, integrator, lights.shares(), lit, coated, start, px_per_m, frozen(_trace_points))
     kinds = lights.slots if len(spectra) > 1 else 1
 
     def made(refined: NDArray[np.intp], found: _Found, grid_of_lamps: lamps.Grid | None) -> Field:
@@ -98,6 +99,7 @@ def field(
             spectrum_nodes=len(at_nm),
             share=_share(found.usable, number),
             lamps=grid_of_lamps,
+            coats=coated,
         )
 
     y, x = np.mgrid[:rows, :columns]
@@ -201,8 +203,8 @@ def _with_new(
 
 
 def _has_unknown(scene: Any, found: Field) -> NDArray[np.bool_]:
-    """Whether a test ray through the centre of the lens, for each cell of the grid, ends on a Lambertian surface where
-    the irradiance is unknown.
+    """Whether a test ray through the centre of the lens, for each cell of the grid, ends on a Lambertian
+    surface, bare or coated, where the irradiance is unknown.
     """
     import drjit as dr
     import mitsuba as mi
@@ -220,7 +222,8 @@ def _has_unknown(scene: Any, found: Field) -> NDArray[np.bool_]:
             ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(0.0), direction))
             ray.wavelengths = mi.Spectrum(*lamps.PROBE_NM)
             si = scene.ray_intersect(ray, ray_flags=mi.RayFlags.All, coherent=True)
-            active = si.is_valid() & lambertian(si.bsdf(ray))
+            bsdf, valid = si.bsdf(ray), si.is_valid()
+            active = valid & (lambertian(bsdf) | coats.coated(found.coats, bsdf, valid))
             result |= active & ~found.at(si, active)[1]
     return np.array(result)
 
@@ -233,6 +236,7 @@ class _Tracer:
     integrator: Any
     shares: Shares
     lit: FloatArray  # spectra of the lights, [light, wavelength]
+    coats: Any  # see :func:`coats.table`
     start_px: tuple[float, float]
     px_per_m: float
     traced: Callable[..., tuple[list[Any], list[Any]]]  # :func:`_trace_points`, frozen or not
@@ -268,7 +272,7 @@ class _Tracer:
             slope = mi.Point2f(*(of_nodes(mi.Float, slopes[:, axis]) for axis in (0, 1)))
             key = np.random.SeedSequence((seed, first)).generate_state(1)[0]
             stratum = of_nodes(mi.UInt32, within), of_nodes(mi.UInt32, of_tile % 2**32)
-            rays = _Rays(slope, *stratum, points(TILE**2 * directions), dr.opaque(mi.UInt32, key))
+            rays = _Rays(slope, *stratum, points(TILE**2 * directions), dr.opaque(mi.UInt32, key), self.coats)
             values, geometry = _traced(self.traced, (self.scene, self.integrator, self.shares), rays, directions)
             received[part] = values[:, : len(self.lit)] / self.lit
             met[part] = geometry
@@ -292,6 +296,7 @@ class _Rays:
     tile: Any  # key of the tile
     points: Any  # of the Sobol' sequence, for the directions of a tile
     key: Any
+    coats: Any
 
 
 def _traced(
@@ -339,7 +344,10 @@ def _trace_points(
     ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(0.0), dr.normalize(mi.Vector3f(rays.slope.x, rays.slope.y, 1.0))))
     ray.wavelengths = wavelengths
     si = scene.ray_intersect(ray, ray_flags=mi.RayFlags.All, coherent=True)
-    known = si.is_valid() & lambertian(si.bsdf(ray)) & (dr.dot(si.n, si.sh_frame.n) > 0)
+    bsdf, valid = si.bsdf(ray), si.is_valid()
+    coated = coats.coated(rays.coats, bsdf, valid)
+    known = valid & (lambertian(bsdf) | coated) & (dr.dot(si.n, si.sh_frame.n) > 0)
+    coated &= known
     normal = towards_camera(si)
     frame = mi.Frame3f(normal)
 
@@ -365,20 +373,22 @@ def _trace_points(
     else:
         beyond = radiance_by_light(scene, sampler, mi.RayDifferential3f(onward), known, shares)
     parts = shares.of(emitter, onward.d, wavelengths, known)
+    through = dr.pi * coats.transmittance(bsdf, si, onward.d, coated)
     received = [
-        dr.pi * (all_of - emitted * part * (1 - surrounding)) for all_of, part in zip(beyond, parts, strict=True)
+        through * (all_of - emitted * part * (1 - surrounding)) for all_of, part in zip(beyond, parts, strict=True)
     ]
 
     aimed, light = scene.sample_emitter_direction(si, aim_at, True, known)
     cosine = dr.maximum(dr.dot(normal, aimed.d), 0.0)
     reachable = known & (aimed.pdf > 0) & dr.isfinite(aimed.pdf) & from_all_around(aimed.emitter)
     direct = dr.select(reachable, light * cosine * power_heuristic(aimed.pdf, cosine / dr.pi), 0.0)
+    direct *= coats.transmittance(bsdf, si, aimed.d, coated & reachable)
     parts = shares.of(aimed.emitter, aimed.d, wavelengths, reachable)
     received = [of_light + direct * part for of_light, part in zip(received, parts, strict=True)]
 
-    valid = dr.select(known, 1.0, 0.0)
+    is_known = dr.select(known, 1.0, 0.0)
     values = [dr.select(known, of_light[k], 0.0) for of_light in received for k in range(4)]
-    about = [dr.select(known, dr.rcp(si.p.z), 0.0), normal.x, normal.y, normal.z, valid]
+    about = [dr.select(known, dr.rcp(si.p.z), 0.0), normal.x, normal.y, normal.z, is_known]
     about.append(dr.select(known & met.is_valid(), dr.rcp(met.t), 0.0))
     dr.eval(values, about)
     return values, about

@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.render import backend
+from dasim.render import backend, coats
 from dasim.render.light_paths import power_heuristic
 from dasim.render.plugin import aligned
 from dasim.render.sobol import Sobol, points
@@ -119,6 +119,7 @@ def light(
     aim_at: Any,
     hit: Any,
     known: Any,
+    glossy: Any,
     even: tuple[Any, Any] | None,
     grid: tuple[Grid, Cell] | None,
 ) -> Any:
@@ -133,6 +134,8 @@ def light(
         hit: mask of the rays.
         known: where the irradiance field holds the light from the surroundings; no scattered ray is traced there that
             could count the same light again.
+        glossy: where only gloss scatters rays, and the irradiance field holds what the base beneath receives from the
+            surroundings.
         even: reflected radiance per irradiance where ``known``, 1/sr: at the end of the ray, and averaged with nearby
             points of the texture, which is the value that counts; None without a field.
         grid: the grid of :func:`grid_of`, and the cell of it in which each ray ends; None without a grid.
@@ -150,23 +153,30 @@ def light(
             number, weight, reused = scene.sample_emitter(place.x, hit)
             place = mi.Point2f(reused, place.y)
         emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), number)
-        reached = hit & ~(known & from_all_around(emitter))
+        is_around = from_all_around(emitter)
+        reached = hit & ~(known & ~glossy & is_around)
         aimed, arriving = emitter.sample_direction(si, place, reached)
         # A lamp that samples itself gives infinities.
         active = reached & (aimed.pdf > 0) & dr.isfinite(aimed.pdf) & dr.any(arriving != 0)
         local = si.to_local(aimed.d)
-        value, other = bsdf.eval_pdf(context, si, local, active)
+        value, other = bsdf.eval_pdf(context, si, local, active & ~glossy)
         if even is not None:
+            value = mi.Spectrum(dr.select(glossy, bsdf.eval(coats.base_context(), si, local, active & glossy), value))
             # The cosine factor as the Lambertian BSDF applies it; where its reflectance is 0, the cosine itself.
             own, mean = even
             plain = mi.Spectrum(dr.select(local.z * si.wi.z > 0, dr.abs(local.z), 0.0))
             value = mi.Spectrum(dr.select(known, mean * dr.select(own > 0, value / own, plain), value))
         share = dr.select(aimed.delta | known, 1.0, power_heuristic(aimed.pdf / weight, other))
         sample = value * arriving * (weight * share)
+        if even is not None:
+            sample &= ~(glossy & is_around)
+            value, other = bsdf.eval_pdf(coats.gloss_context(), si, local, active & glossy)
+            share = dr.select(aimed.delta, 1.0, power_heuristic(aimed.pdf / weight, other))
+            sample += dr.select(active & glossy, value * arriving * (weight * share), 0.0)
         is_seen = active & ~scene.ray_test(si.spawn_ray_to(aimed.p), active)
         added, count = dr.select(is_seen, sample, 0.0), mi.UInt32(1)
         if grid is not None and even is not None:
-            whole, seen = _interpolated(*grid, index, known & reached)
+            whole, seen = _interpolated(*grid, index, known & ~glossy & reached)
             control = dr.select(whole > 0, seen / whole, 0.0)
             added += control * dr.select(active, even[1] * (whole * aimed.pdf) * arriving - sample, 0.0)
             # The number of samples must not depend on their values.

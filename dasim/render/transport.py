@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from dasim.render import lamps
+from dasim.render import coats, lamps
 from dasim.render.irradiance import Field, lambertian
 from dasim.render.light_paths import power_heuristic
 from dasim.render.translate import MAX_PATH_DEPTH
@@ -43,8 +43,8 @@ def radiance(
     """Spectral radiance along ``ray``, whose first intersection is ``si``.
 
     Where ``field`` holds the irradiance from surrounding emitters and other surfaces, only lamps are sampled
-    (:mod:`dasim.render.lamps`). Elsewhere, emitters and the scattering function are both sampled, and combined by the
-    power heuristic.
+    (:mod:`dasim.render.lamps`), and the gloss of coats (:mod:`dasim.render.coats`). Elsewhere, emitters and the
+    scattering function are both sampled, and combined by the power heuristic.
 
     Args:
         scene: a Mitsuba scene.
@@ -65,24 +65,29 @@ def radiance(
     context, hit = mi.BSDFContext(), si.is_valid()
     bsdf = si.bsdf(ray)
     result = si.emitter(scene).eval(si)
-    traced, known, even, grid = hit, mi.Bool(False), None, None
+    traced, known, glossy, even, grid = hit, mi.Bool(False), mi.Bool(False), None, None
     if field is not None:
-        irradiance, known, cell = field.at(si, hit & lambertian(bsdf))
+        coated, base = coats.coated(field.coats, bsdf, hit), coats.base_context()
+        irradiance, known, cell = field.at(si, hit & (lambertian(bsdf) | coated))
+        glossy = known & coated
         grid = None if field.lamps is None else (field.lamps, cell)
-        traced = hit & ~known
+        traced = hit & (~known | glossy)
         upright = mi.Vector3f(0.0, 0.0, dr.select(si.wi.z < 0, -1.0, 1.0))
-        own = bsdf.eval(context, si, upright, known)
+        own = bsdf.eval(base, si, upright, known)
         mean = mi.Spectrum(own)
         for shift in shifts:
             beside = mi.SurfaceInteraction3f(si)
             beside.uv += shift
-            mean += bsdf.eval(context, beside, upright, known)
+            mean += bsdf.eval(base, beside, upright, known)
         mean /= 1 + len(shifts)
         even = own, mean
         result += dr.select(known, mean * irradiance, 0.0)
-    result += lamps.light(scene, emitters, bsdf, si, aim_at, hit, known, even, grid)
+    result += lamps.light(scene, emitters, bsdf, si, aim_at, hit, known, glossy, even, grid)
 
-    scattered, weight = bsdf.sample(context, si, lobe, place, traced)
+    scattered, weight = bsdf.sample(context, si, lobe, place, traced & ~glossy)
+    if field is not None:
+        gloss = bsdf.sample(coats.gloss_context(), si, lobe, place, glossy)
+        scattered, weight = dr.select(glossy, gloss[0], scattered), dr.select(glossy, gloss[1], weight)
     # An invalid sample, as below a surface's horizon, has weight 0 and no direction. NaN is not 0, and not hidden.
     traced &= ~dr.all(weight == 0)
     onward = si.spawn_ray(si.to_world(scattered.wo))

@@ -161,7 +161,7 @@ def test_their_number_does_not_depend_on_the_samples(jit):
         grid = lamps.Grid(table, table, mi.UInt32(table), numbers, mi.UInt32(1), mi.UInt32(1))
         chosen, known = lamps.chosen(scene), mi.Bool(dr.zeros(mi.Bool, count))
         light = lamps.light(
-            scene, chosen, si.bsdf(ray), si, place, si.is_valid(), known, (mi.Spectrum(0.0),) * 2, (grid, cell)
+            scene, chosen, si.bsdf(ray), si, place, si.is_valid(), known, known, (mi.Spectrum(0.0),) * 2, (grid, cell)
         )
         values = np.array(light[0])
         means.append(values.mean())

@@ -109,7 +109,8 @@ def _centroid(picture: FloatArray, about: FloatArray) -> FloatArray:
 
 # --- light from all around and between surfaces --------------------------------------------------
 
-LIGHT_SCENES = ("desk", "adam")
+LIGHT_SCENES = ("desk", "adam", "coats")
+LIGHT_COATS = 7, 0  # seed and number of a random scene with eight coated objects
 LIGHT_SIZE_PX = (256, 192)
 LIGHT_SPP = 256
 LIGHT_TRACED_SPP = 1024
@@ -122,8 +123,9 @@ def interreflection(progress: ShareDone) -> Evidence:
     Rationale: the renderer traces indirect light and the light of domes on a grid, and interpolates it where it is
     smooth (irradiance caching, Ward 1988). Interpolation is an approximation, so it is compared with full path tracing.
 
-    Set-up: the bundled scenes ``desk`` and ``adam``, central 256 x 192 px, da-mobile, both stops, diffraction off. Two
-    renders of 256 samples per pixel with interpolated irradiance, and two of 1,024 samples traced throughout.
+    Set-up: the bundled scenes ``desk`` and ``adam``, and a random scene with eight coated objects, central 256 x 192
+    px, da-mobile, both stops, diffraction off. Two renders of 256 samples per pixel with interpolated irradiance, and
+    two of 1,024 samples traced throughout.
 
     Expectation: means over blocks of 8 x 8 pixels agree within rendering noise. The noise is estimated from the
     difference within each pair, and its variance is subtracted from the mean square difference.
@@ -138,7 +140,7 @@ def interreflection(progress: ShareDone) -> Evidence:
         raise rendering.NotRun("only scalar_spectral works here, which traces all light; install LLVM 17 or newer")
     figures = []
     for number, name in enumerate(LIGHT_SCENES):
-        scene = loading.load_scene(name)
+        scene = dasim.random_scene(*LIGHT_COATS) if name == "coats" else loading.load_scene(name)
         camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *LIGHT_SIZE_PX), scene)
         loaded = translate.load(scene)
         blur = depth_blur.signed_blur_px(truth.geometry(loaded, camera).depth_m, camera)
