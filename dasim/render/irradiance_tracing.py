@@ -32,7 +32,7 @@ DIRECTIONS_PER_SAMPLE = 4  # directions of a point per sample of a pixel
 FEWEST_DIRECTIONS, MOST_DIRECTIONS = 64, 1024
 # Directions per node of refined cells: the minimum, and the divisor of the directions of the grid's nodes, which are
 # nine times as sparse.
-FEWEST_FINE, FINE_PART = 32, 4
+FEWEST_FINE, FINE_PART = 16, 4
 FINE_AGREEMENT = 0.3  # as irradiance_nodes.AGREEMENT: irradiance is more nearly linear between closer corners
 PROBES = 0.25, 0.75  # positions along each side of a cell that are tested to decide whether it is refined
 
