@@ -7,6 +7,9 @@ transmittance towards the light, which changes as little from pixel to pixel as 
 irradiance field holds it, and only gloss needs scattered rays. Before, the light from coated bases had up to twenty
 times the noise of that from bare ones.
 
+Nodes do not know which surfaces are coated. Where a coated and a bare surface lie in one plane, such as a card on a
+table, those of both are averaged, and the light of a dome is up to 1.6 % off within some three pixels of the border.
+
 Tested in tests/dasim/render/test_coats.py.
 """
 
