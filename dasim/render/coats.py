@@ -4,8 +4,8 @@ A coat, Mitsuba's ``plastic`` or ``roughplastic``, reflects a part of the light 
 the rest to a Lambertian base and back. The light from the base is the product of the transmittances towards the light
 and towards the camera, and of a factor of the base. It is therefore in proportion to the irradiance weighted by the
 transmittance towards the light, which changes as little from pixel to pixel as that of a Lambertian surface: the
-irradiance field holds it, and only gloss needs scattered rays. Before, the light from coated bases had up to twenty
-times the noise of that from bare ones.
+irradiance field holds it, and only gloss needs scattered rays. With scattered rays for both, coated surfaces had up to
+twenty times the noise of bare ones.
 
 Nodes do not know which surfaces are coated. Where a coated and a bare surface lie in one plane, such as a card on a
 table, those of both are averaged, and the light of a dome is up to 1.6 % off within some three pixels of the border.

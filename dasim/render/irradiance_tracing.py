@@ -203,8 +203,8 @@ def _with_new(
 
 
 def _has_unknown(scene: Any, found: Field) -> NDArray[np.bool_]:
-    """Whether a test ray through the centre of the lens, for each cell of the grid, ends on a Lambertian
-    surface, bare or coated, where the irradiance is unknown.
+    """Whether a test ray through the centre of the lens, for each cell of the grid, ends on a Lambertian surface,
+    bare or coated, where the irradiance is unknown.
     """
     import drjit as dr
     import mitsuba as mi
