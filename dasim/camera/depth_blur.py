@@ -41,8 +41,18 @@ def boundary(blur_px: FloatArray) -> NDArray[np.bool_]:
         larger = np.where(jump, np.maximum(size[first], size[second]) / 2 + 1.0, 0.0)
         reach[first] = np.maximum(reach[first], larger)
         reach[second] = np.maximum(reach[second], larger)
-    mask = np.zeros(size.shape, bool)
-    steps = np.ceil(reach / _RADIUS_BINS_PX)
-    for step in np.unique(steps[steps > 0]):
-        mask |= ndimage.distance_transform_edt(steps != step) <= step * _RADIUS_BINS_PX
+    return within(reach, np.arange(0.0, reach.max() + 2 * _RADIUS_BINS_PX, _RADIUS_BINS_PX))
+
+
+def within(reach_px: NDArray[np.floating], radii_px: FloatArray) -> NDArray[np.bool_]:
+    """Mask [h, w] of the union of discs about the pixels with a positive reach.
+
+    Args:
+        reach_px: radius of the disc about each pixel, [h, w].
+        radii_px: values to which the radii are rounded up, ascending, the last one above all of them.
+    """
+    mask = np.zeros(reach_px.shape, bool)
+    number = np.where(reach_px > 0, np.searchsorted(radii_px, reach_px), -1)
+    for own in np.unique(number[number >= 0]):
+        mask |= ndimage.distance_transform_edt(number != own) <= radii_px[own]
     return mask

@@ -22,36 +22,42 @@ import numpy as np
 from dasim.render.plugin import aligned
 
 COATS = {"SmoothPlastic", "RoughPlastic"}
+COATED, BARE = 1, 2  # kinds of surfaces in :func:`table`; 0 for all others
 LEAST_ENTRIES = 256  # of the table, so that most scenes have one of the same size
 
 
 def table(scene: Any) -> Any:
-    """Whether each BSDF of a scene is a coat over one base, by Dr.Jit's numbers of the BSDFs."""
+    """The kind of each BSDF of a scene, by Dr.Jit's numbers of the BSDFs: a coat over one base, or a bare Lambertian
+    reflector; either on one side or on both.
+    """
     import drjit as dr
     import mitsuba as mi
 
     bsdfs = {shape.bsdf() for shape in scene.shapes()}
-    numbers = {int(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf))[0]): _is_coat(bsdf) for bsdf in bsdfs}
+    numbers = {int(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf))[0]): _kind(bsdf) for bsdf in bsdfs}
     entries = np.zeros(max(LEAST_ENTRIES, 1 << max(numbers).bit_length()) if numbers else LEAST_ENTRIES, np.uint32)
     entries[list(numbers)] = list(numbers.values())
     return mi.UInt32(aligned(entries))
 
 
-def _is_coat(bsdf: Any) -> bool:
+def _kind(bsdf: Any) -> int:
     import mitsuba as mi
 
-    parts = [part.class_name() for part in mi.traverse(bsdf).hierarchy if isinstance(part, mi.BSDF)]
-    return len(parts) < 3 and parts[-1] in COATS and parts[0] in {*COATS, "TwoSidedBRDF"}
+    first, *others = [part.class_name() for part in mi.traverse(bsdf).hierarchy if isinstance(part, mi.BSDF)]
+    if first == "TwoSidedBRDF" and len(others) == 1:
+        first, others = others[0], []
+    kind = COATED if first in COATS else BARE if first == "SmoothDiffuse" else 0
+    return 0 if others else kind
 
 
-def coated(entries: Any, bsdf: Any, active: Any) -> Any:
-    """Whether the BSDF of each ray is a coat by the ``entries`` of :func:`table`."""
+def coated(entries: Any, bsdf: Any, active: Any, kind: int = COATED) -> Any:
+    """Whether the BSDF of each ray is a coat, or of another ``kind``, by the ``entries`` of :func:`table`."""
     import drjit as dr
     import mitsuba as mi
 
     number = dr.reinterpret_array(mi.UInt32, bsdf)
     active = active & (number < dr.width(entries))
-    return active & (dr.gather(mi.UInt32, entries, number, active) > 0)
+    return active & (dr.gather(mi.UInt32, entries, number, active) == kind)
 
 
 def base_context() -> Any:

@@ -1,9 +1,9 @@
 """A control variate for pictures through the lens: the pinhole picture, blurred without rays.
 
 Nearly all noise of a textured surface comes from which texel a ray hits and at which wavelengths. Let s be a pinhole
-picture around a pixel at a few wavelengths, linear between them; x the centre of the cell of the pixel, a quarter of a
-pixel wide (half of one in large frames), that a ray passes; w the position in the blur for which the ray was sampled,
-with density q; h the kernel of a surface at one depth; and K the mean of h over the wavelengths, separately for each
+picture around a pixel at a few wavelengths, linear between them; x the centre of the cell of the pixel that a ray
+passes, a quarter of a pixel wide, half of one in large frames, or a whole pixel (:mod:`dasim.render.one_surface`); w
+the position in the blur for which the ray was sampled, with density q; h the kernel of a surface at one depth; and K the mean of h over the wavelengths, separately for each
 wavelength of s. With C = response x light x h(w) / q(w) at each wavelength of the ray,
 
     f = sum of C (s(x - w) - F) / sum of C,    F = mean over the pixel's cells of s, blurred by K,
@@ -32,14 +32,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
 from dasim.camera.sensor import principal_point
 from dasim.camera.specification import Camera
+from dasim.render import one_surface
 from dasim.render.plugin import texture
-from dasim.typing import FloatArray
+from dasim.typing import Float32Array, FloatArray
 
 CELLS, FEWER_CELLS = 4, 2  # nodes of s per pixel, along each axis, even; fewer in large frames
 LARGE_FRAME_PX = 600_000
@@ -80,6 +82,8 @@ class Fine:
     cells: int  # nodes per pixel, along each axis
     ratio: NDArray[np.float32]  # [y, x, band] radiance over the lights' spectrum
     margin_px: int
+    # [y, x] of the pixels of frame and margin, from :func:`one_surface.edge_blur_px`; None for edges everywhere
+    edge_px: Float32Array | None = None
 
 
 def cells_of(camera: Camera) -> int:
@@ -108,10 +112,11 @@ def wider(camera: Camera, margin_px: int) -> Camera:
 class Control:
     """The control variate of a stop."""
 
-    picture: Any  # texture of s, a channel per band
+    picture: Any  # texture of s, a channel per band; below it, the means of s over a pixel, see :func:`_pixel_boxes`
     extent: Any  # size of the picture along x and y, pixels
     margin_px: Any
     cells: Any  # cells per pixel along each axis; s is read at their centres
+    whole: Any  # whether each pixel of the frame is a single cell, row by row
     level: Any  # blur level of each pixel of the frame, row by row
     blur_px: Any  # signed visible blur of each level
     reach_px: Any  # radius of the kernel of each level
@@ -134,9 +139,21 @@ class Control:
 
         level = dr.gather(mi.UInt32, self.level, pixel)
         blur = dr.gather(mi.Float, self.blur_px, level)
-        place = (dr.floor(place * self.cells) + 0.5) / self.cells
-        seen = self.picture.eval((place - w + self.centre * (blur / 2) + self.margin_px) / self.extent)
+        whole, cells = dr.gather(mi.Bool, self.whole, pixel), self.cells_at(pixel)
+        place = (dr.floor(place * cells) + 0.5) / cells
+        node = 0.5 / self.cells
+        at = place - w + self.centre * (blur / 2) + self.margin_px + dr.select(whole, node, 0.0)
+        at = dr.clip(at, node, self.extent - node)
+        at.y += dr.select(whole, self.extent.y, 0.0)
+        seen = self.picture.eval(at / mi.Point2f(self.extent.x, 2 * self.extent.y))
         return list(seen), blur, dr.gather(mi.Float, self.reach_px, level)
+
+    def cells_at(self, pixel: Any) -> Any:
+        """Cells per pixel and axis at pixels of the frame."""
+        import drjit as dr
+        import mitsuba as mi
+
+        return dr.select(dr.gather(mi.Bool, self.whole, pixel), 1.0, self.cells)
 
 
 def control(
@@ -178,11 +195,15 @@ def control(
         _expected(fine, level.reshape(blur_px.shape), table, reach, shift, points), len(kinds), axis=-1
     )
     height, width = (extent / fine.cells for extent in fine.ratio.shape[:2])
+    one = np.zeros(blur_px.shape, bool)
+    if fine.edge_px is not None:
+        one = one_surface.seen(fine.edge_px, fine.margin_px, outer)
     return Control(
-        picture=texture(fine.ratio, wrap_mode=dr.WrapMode.Clamp),
+        picture=texture(np.concatenate([fine.ratio, _pixel_boxes(fine)])),
         extent=mi.Point2f(dr.opaque(mi.Float, width), dr.opaque(mi.Float, height)),
         margin_px=dr.opaque(mi.Float, fine.margin_px),
         cells=dr.opaque(mi.Float, fine.cells),
+        whole=mi.Bool(one.ravel()),
         level=mi.UInt32(level.astype(np.uint32).ravel()),
         # At least two entries: for an array of one entry, the compiler omits the lookup, which gives another kernel.
         blur_px=mi.Float(np.append(levels, levels[-1]).astype(np.float32)),
@@ -295,6 +316,17 @@ def _pixel_means(picture: NDArray[np.float32], cells: int, spare_px: int, points
             total += weight * part
         means = np.ascontiguousarray(total.T)
     return means
+
+
+def _pixel_boxes(fine: Fine) -> Float32Array:
+    """Means of s over squares as wide as a pixel, at the upper left corners of the nodes, [y, x, band].
+
+    Between the corners they are linear, as s is between its nodes. Read at the centre of a pixel, they are therefore
+    the mean of s over the pixel's cells, for every shift, and both have the same F.
+    """
+    size, middle = (fine.cells, fine.cells), (fine.cells // 2, fine.cells // 2)
+    means = cv2.blur(np.ascontiguousarray(fine.ratio), size, anchor=middle, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(means).reshape(fine.ratio.shape)
 
 
 def _sampled(profiles: FloatArray, half: int, shift: FloatArray, points: int) -> NDArray[np.float32]:

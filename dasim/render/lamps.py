@@ -73,6 +73,16 @@ class Cell(NamedTuple):
     is_on_surface: Any  # whether the ray ends on the surface that the nodes see
 
 
+class Even(NamedTuple):
+    """Rays that end where the irradiance field holds the light from the surroundings."""
+
+    known: Any  # whether it does; no scattered ray is traced there that could count the same light again
+    glossy: Any  # whether the surface has a coat, and only gloss scatters rays
+    bare: Any  # whether the surface is a Lambertian reflector without a coat or a map of normals
+    own: Any  # reflected radiance per irradiance at the end of the ray, 1/sr
+    mean: Any  # the same, averaged with nearby points of the texture, which is the value that counts
+
+
 def sampled(scene: Any) -> list[int]:
     """Numbers of the emitters that each ray samples; empty where it draws one."""
     numbers = [number for number, emitter in enumerate(scene.emitters()) if emitter.sampling_weight() > 0]
@@ -118,9 +128,7 @@ def light(
     si: Any,
     aim_at: Any,
     hit: Any,
-    known: Any,
-    glossy: Any,
-    even: tuple[Any, Any] | None,
+    even: Even | None,
     grid: tuple[Grid, Cell] | None,
 ) -> Any:
     """Spectral radiance that leaves a surface for light that comes straight from emitters.
@@ -132,18 +140,13 @@ def light(
         si: the surface interaction.
         aim_at: two uniform numbers.
         hit: mask of the rays.
-        known: where the irradiance field holds the light from the surroundings; no scattered ray is traced there that
-            could count the same light again.
-        glossy: where only gloss scatters rays, and the irradiance field holds what the base beneath receives from the
-            surroundings.
-        even: reflected radiance per irradiance where ``known``, 1/sr: at the end of the ray, and averaged with nearby
-            points of the texture, which is the value that counts; None without a field.
+        even: where the irradiance field is known; None without a field.
         grid: the grid of :func:`grid_of`, and the cell of it in which each ray ends; None without a grid.
     """
     import drjit as dr
     import mitsuba as mi
 
-    context = mi.BSDFContext()
+    known, glossy, bare = (mi.Bool(False),) * 3 if even is None else even[:3]
     draws_one = not sampled(scene)
 
     def body(index: Any, repeat: Any, total: Any) -> tuple[Any, Any, Any]:
@@ -159,26 +162,25 @@ def light(
         # A lamp that samples itself gives infinities.
         active = reached & (aimed.pdf > 0) & dr.isfinite(aimed.pdf) & dr.any(arriving != 0)
         local = si.to_local(aimed.d)
-        value, other = bsdf.eval_pdf(context, si, local, active & ~glossy)
+        value, other, base, gloss, of_gloss = dr.dispatch(bsdf, _towards, si, local, active=active & ~bare)
         if even is not None:
-            value = mi.Spectrum(dr.select(glossy, bsdf.eval(coats.base_context(), si, local, active & glossy), value))
-            # The cosine factor as the Lambertian BSDF applies it; where its reflectance is 0, the cosine itself.
-            own, mean = even
+            value = mi.Spectrum(dr.select(glossy, base, value))
+            # The cosine factor as the BSDF applies it; where its reflectance is 0, the cosine itself.
             plain = mi.Spectrum(dr.select(local.z * si.wi.z > 0, dr.abs(local.z), 0.0))
-            value = mi.Spectrum(dr.select(known, mean * dr.select(own > 0, value / own, plain), value))
+            factor = dr.select(bare | (even.own <= 0), plain, value / even.own)
+            value = mi.Spectrum(dr.select(known, even.mean * factor, value))
         share = dr.select(aimed.delta | known, 1.0, power_heuristic(aimed.pdf / weight, other))
         sample = value * arriving * (weight * share)
         if even is not None:
             sample &= ~(glossy & is_around)
-            value, other = bsdf.eval_pdf(coats.gloss_context(), si, local, active & glossy)
-            share = dr.select(aimed.delta, 1.0, power_heuristic(aimed.pdf / weight, other))
-            sample += dr.select(active & glossy, value * arriving * (weight * share), 0.0)
+            share = dr.select(aimed.delta, 1.0, power_heuristic(aimed.pdf / weight, of_gloss))
+            sample += dr.select(active & glossy, gloss * arriving * (weight * share), 0.0)
         is_seen = active & ~scene.ray_test(si.spawn_ray_to(aimed.p), active)
         added, count = dr.select(is_seen, sample, 0.0), mi.UInt32(1)
         if grid is not None and even is not None:
             whole, seen = _interpolated(*grid, index, known & ~glossy & reached)
             control = dr.select(whole > 0, seen / whole, 0.0)
-            added += control * dr.select(active, even[1] * (whole * aimed.pdf) * arriving - sample, 0.0)
+            added += control * dr.select(active, even.mean * (whole * aimed.pdf) * arriving - sample, 0.0)
             # The number of samples must not depend on their values.
             doubted = reached & ~mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta)
             doubted &= ~((whole > 0) & ((seen <= 0) | (seen >= whole)))
@@ -191,6 +193,45 @@ def light(
     start = none, mi.UInt32(none), mi.Spectrum(dr.zeros(mi.Spectrum, dr.width(hit)))
     labels = "index", "repeat", "total"
     return dr.while_loop(start, lambda index, repeat, total: index < emitters.count, body, labels=labels)[2]
+
+
+def _towards(bsdf: Any, si: Any, local: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+    """Value and density of a scattering function in a direction, the value of its base, and value and density of its
+    gloss; one call of an instance for all of them.
+    """
+    import mitsuba as mi
+
+    value, density = bsdf.eval_pdf(mi.BSDFContext(), si, local, active)
+    base = bsdf.eval(coats.base_context(), si, local, active)
+    return value, density, base, *bsdf.eval_pdf(coats.gloss_context(), si, local, active)
+
+
+def shadows(scene: Any, emitters: Chosen, si: Any, active: Any, grid: tuple[Grid, Cell] | None) -> tuple[Any, Any]:
+    """Number of the set of emitters whose direct light reaches a surface point, and whether it is certain: no
+    emitter is partly hidden. Arguments are those of :func:`light`; emitters that surround the scene do not count.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    middle = mi.Point2f(dr.opaque(mi.Float, 0.5, dr.width(active)), 0.5)
+
+    def body(index: Any, reached: Any, certain: Any) -> tuple[Any, Any, Any]:
+        emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), dr.gather(mi.UInt32, emitters.numbers, index))
+        aimed, arriving = emitter.sample_direction(si, middle, active)
+        towards = active & ~from_all_around(emitter) & (aimed.pdf > 0) & dr.any(arriving != 0)
+        towards &= dr.dot(aimed.d, si.n) * dr.dot(si.wi, si.sh_frame.to_local(si.n)) > 0
+        is_point = mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta)
+        is_seen = towards & is_point & ~scene.ray_test(si.spawn_ray_to(aimed.p), towards & is_point)
+        whole, seen = (mi.Float(0.0),) * 2 if grid is None else _interpolated(*grid, index, towards & ~is_point)
+        known = is_point | ((whole > 0) & ((seen <= 0) | (seen >= whole)))
+        is_seen |= seen > 0
+        return index + 1, 3 * reached + dr.select(towards & is_seen, 1, 0), certain & (~towards | known)
+
+    none = mi.UInt32(dr.zeros(mi.UInt32, dr.width(active)))
+    start = none, mi.UInt32(none), mi.Bool(active)
+    labels = "index", "reached", "certain"
+    found = dr.while_loop(start, lambda index, *_: index < emitters.count, body, labels=labels)
+    return found[1], found[2]
 
 
 def _shifted(place: Any, repeat: Any, step: int) -> Any:

@@ -24,6 +24,7 @@ from dasim.render import (
     focus_pictures,
     irradiance,
     irradiance_tracing,
+    one_surface,
     pinhole,
     ray_loop,
     stock,
@@ -254,6 +255,9 @@ def sharp_pass(
     falloff = radiometry.relative_illumination(camera)[..., None].astype(np.float32)
     for part in pictures.nodes:
         at_bands(part)
-    fine = {stop.name: Fine(cells, part, margin) for stop, part in zip(camera.stops, pictures.nodes, strict=True)}
+    edge_px = one_surface.edge_blur_px(mitsuba_scene, camera, margin, field)
+    fine = {
+        stop.name: Fine(cells, part, margin, edge_px) for stop, part in zip(camera.stops, pictures.nodes, strict=True)
+    }
     focused = {number: picture * falloff for number, picture in in_focus.pictures(field, fine).items()}
     return Sharp(pictures.rate[:, margin:-margin, margin:-margin] * falloff, fine, focused)

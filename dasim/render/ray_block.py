@@ -34,6 +34,7 @@ class Rays(NamedTuple):
 
     ray: Any
     place: Any  # on the sensor, pixels from the frame's corner
+    cells: Any  # per pixel along each axis, see :mod:`dasim.render.splitting`
     film: Any  # place in a pinhole's picture, pixels from the axis
     tangent: Any  # of the field angle there, a vector
     focus: Any  # vergence in focus at the ray's wavelengths, 1/m
@@ -106,7 +107,8 @@ def aim(shared: Pass, batch: Batch, lanes: Lanes, numbers: tuple[Any, Any, Any, 
     slope = aim / shared.px_per_m - on_lens * focus
     ray = mi.RayDifferential3f(mi.Ray3f(origin, dr.normalize(mi.Vector3f(slope.x, slope.y, 1.0))))
     ray.wavelengths = wavelengths
-    return Rays(ray, place, film, tangent, focus, first, entries, rho, delta, expected, drawn, variate)
+    cells = shared.cells if shared.control is None else shared.control.cells_at(lanes.pixel)
+    return Rays(ray, place, cells, film, tangent, focus, first, entries, rho, delta, expected, drawn, variate)
 
 
 def _variate(

@@ -73,7 +73,7 @@ class Pass:
     aberration: pupil.Aberration | None  # in geometric optics
     in_focus: bool  # whether every depth is, see :func:`dasim.render.ray_loop.render`
     control: Control | None
-    cells: Any  # opaque number of cells per pixel along each axis, see :mod:`dasim.render.splitting`
+    cells: Any  # opaque number of cells per pixel along each axis without a control, see :mod:`dasim.render.splitting`
 
     @property
     def has_single_wavelengths(self) -> bool:
@@ -141,7 +141,7 @@ def prepare(
         aberration=pupil.aberration(camera, stop, mean_nm) if stop is not None and blur is None else None,
         in_focus=in_focus,
         control=control,
-        cells=dr.opaque(mi.Float, CELLS) if control is None else control.cells,
+        cells=dr.opaque(mi.Float, CELLS),
     )
 
 

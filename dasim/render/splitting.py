@@ -2,9 +2,10 @@
 
 Once irradiance is known, nearly all noise of a picture comes from which texel a ray hits. A ray from the same place on
 the lens through another point of the pixel hits the same plane, at a point that needs no tracing. Each ray therefore
-uses the mean reflectance of ``LOOKUPS`` points: its own, and others in the same cell of the pixel, which is a quarter
-of a pixel wide (half of one in large frames), as are the nodes of the control variate (splitting: Arvo and Kirk,
-Particle transport and image synthesis, SIGGRAPH 1990). The control variate is read once per cell, so that both are
+uses the mean reflectance of ``LOOKUPS`` points: its own, and others in the same cell of the pixel (splitting: Arvo and
+Kirk, Particle transport and image synthesis, SIGGRAPH 1990). A cell is a whole pixel where all rays of the pixel end on
+one surface in even light (:mod:`dasim.render.one_surface`). Elsewhere, it is a quarter of a pixel wide (half of one in
+large frames), as are the nodes of the control variate. The control variate is read once per cell, so that both are
 means over it (:mod:`dasim.render.control_variate`).
 
 Every point of a cell stands in equally for every other one, so means on planes do not change. In a cell that contains
@@ -20,8 +21,8 @@ from typing import Any
 from dasim.render.ray_block import Rays
 from dasim.render.ray_pass import Pass
 
-LOOKUPS = 4  # points per ray; the sequence of Hammersley, in fractions of a cell
-OTHERS = (0.5, 0.25), (0.25, 0.5), (0.75, 0.75)
+LOOKUPS, STEP = 13, 8  # points per ray, and their step along y: a Fibonacci lattice, in fractions of a cell
+OTHERS = tuple((number / LOOKUPS, number * STEP % LOOKUPS / LOOKUPS) for number in range(1, LOOKUPS))
 MOST_STRETCH = 1.2  # largest ratio of the depths of a point and of the ray's end; beyond it a surface is too slanted
 
 
@@ -33,8 +34,8 @@ def uv_shifts(shared: Pass, rays: Rays, si: Any) -> list[Any]:
     import drjit as dr
     import mitsuba as mi
 
-    corner = dr.floor(rays.place * shared.cells)
-    within = rays.place * shared.cells - corner
+    corner = dr.floor(rays.place * rays.cells)
+    within = rays.place * rays.cells - corner
     ray, origin = rays.ray.d / rays.ray.d.z, rays.ray.o
     depth, height = si.p.z - origin.z, dr.dot(si.n, si.p - origin)
     uu, uv, vv = (dr.dot(*pair) for pair in ((si.dp_du, si.dp_du), (si.dp_du, si.dp_dv), (si.dp_dv, si.dp_dv)))
@@ -43,7 +44,7 @@ def uv_shifts(shared: Pass, rays: Rays, si: Any) -> list[Any]:
     result = []
     for shift in OTHERS:
         moved = within + mi.Point2f(*shift)
-        film = shared.pinhole((corner + moved - dr.floor(moved)) / shared.cells - shared.axis)
+        film = shared.pinhole((corner + moved - dr.floor(moved)) / rays.cells - shared.axis)
         slope = (film - rays.film) / shared.px_per_m
         other = mi.Vector3f(ray.x + slope.x, ray.y + slope.y, 1.0)
         there = height / dr.dot(si.n, other)

@@ -65,24 +65,18 @@ def radiance(
     context, hit = mi.BSDFContext(), si.is_valid()
     bsdf = si.bsdf(ray)
     result = si.emitter(scene).eval(si)
-    traced, known, glossy, even, grid = hit, mi.Bool(False), mi.Bool(False), None, None
+    traced, glossy, even, grid = hit, mi.Bool(False), None, None
     if field is not None:
-        coated, base = coats.coated(field.coats, bsdf, hit), coats.base_context()
+        coated = coats.coated(field.coats, bsdf, hit)
         irradiance, known, cell = field.at(si, hit & (lambertian(bsdf) | coated))
         glossy = known & coated
         grid = None if field.lamps is None else (field.lamps, cell)
         traced = hit & (~known | glossy)
         upright = mi.Vector3f(0.0, 0.0, dr.select(si.wi.z < 0, -1.0, 1.0))
-        own = bsdf.eval(base, si, upright, known)
-        mean = mi.Spectrum(own)
-        for shift in shifts:
-            beside = mi.SurfaceInteraction3f(si)
-            beside.uv += shift
-            mean += bsdf.eval(base, beside, upright, known)
-        mean /= 1 + len(shifts)
-        even = own, mean
+        own, mean = dr.dispatch(bsdf, _own_and_mean, si, upright, list(shifts), active=known)
+        even = lamps.Even(known, glossy, known & coats.coated(field.coats, bsdf, hit, coats.BARE), own, mean)
         result += dr.select(known, mean * irradiance, 0.0)
-    result += lamps.light(scene, emitters, bsdf, si, aim_at, hit, known, glossy, even, grid)
+    result += lamps.light(scene, emitters, bsdf, si, aim_at, hit, even, grid)
 
     scattered, weight = bsdf.sample(context, si, lobe, place, traced & ~glossy)
     if field is not None:
@@ -99,3 +93,19 @@ def radiance(
     beyond, _, _ = integrator.sample(scene, sampler, mi.RayDifferential3f(onward), active=traced)
     result += dr.select(traced, weight * (beyond - emitted * (1 - share)), 0.0)
     return result
+
+
+def _own_and_mean(bsdf: Any, si: Any, upright: Any, shifts: list[Any], active: Any) -> tuple[Any, Any]:
+    """Values of the base of a scattering function towards ``upright``, at ``si`` and the mean over it and the points at
+    ``shifts``; one call of an instance for all of them.
+    """
+    import mitsuba as mi
+
+    base = coats.base_context()
+    own = bsdf.eval(base, si, upright, active)
+    mean = mi.Spectrum(own)
+    for shift in shifts:
+        beside = mi.SurfaceInteraction3f(si)
+        beside.uv += shift
+        mean += bsdf.eval(base, beside, upright, active)
+    return own, mean / (1 + len(shifts))

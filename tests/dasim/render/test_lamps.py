@@ -159,10 +159,9 @@ def test_their_number_does_not_depend_on_the_samples(jit):
     for samples in (1, 2):
         numbers = mi.UInt32([samples] * lamps.MOST_EMITTERS)
         grid = lamps.Grid(table, table, mi.UInt32(table), numbers, mi.UInt32(1), mi.UInt32(1))
-        chosen, known = lamps.chosen(scene), mi.Bool(dr.zeros(mi.Bool, count))
-        light = lamps.light(
-            scene, chosen, si.bsdf(ray), si, place, si.is_valid(), known, known, (mi.Spectrum(0.0),) * 2, (grid, cell)
-        )
+        chosen, none_known = lamps.chosen(scene), mi.Bool(dr.zeros(mi.Bool, count))
+        even = lamps.Even(*(none_known,) * 3, *(mi.Spectrum(0.0),) * 2)
+        light = lamps.light(scene, chosen, si.bsdf(ray), si, place, si.is_valid(), even, (grid, cell))
         values = np.array(light[0])
         means.append(values.mean())
         spread = max(spread, values.std() / np.sqrt(count))

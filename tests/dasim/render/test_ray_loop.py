@@ -35,13 +35,13 @@ from tests.support.called import Batch, Record, recorded
 
 RENDER = Path(ray_loop.__file__).parent
 # Modules whose functions trace rays, or are called where plugins of ours meet them.
-LOOP = """blur_tables control_variate field_angle irradiance irradiance_tracing lamps light_paths light_spectra mixture
-pattern_blur plugin pinhole pupil radial_blur radial_tables ray_batches ray_block ray_loop ray_pass sobol splitting
-surrounding transport foreign/colours""".split()
+LOOP = """blur_tables control_variate field_angle irradiance irradiance_tracing lamps light_paths light_spectra
+mixture pattern_blur plugin pinhole pupil radial_blur radial_tables ray_batches one_surface ray_block ray_loop
+ray_pass sobol splitting surrounding transport foreign/colours""".split()
 # Of Dr.Jit, all of which both kinds of arrays have; and of Mitsuba, whose types are those of the variant.
-DRJIT = """abs all any arange atan block_sum brev clip cos dot eval floor fma full gather isfinite lerp make_opaque
-maximum minimum norm normalize opaque pi rcp reinterpret_array round rsqrt safe_acos safe_asin safe_sqrt select sin
-sincos sqrt squared_norm while_loop width zeros FilterMode WrapMode""".split()
+DRJIT = """abs all any arange atan block_sum brev clip cos dispatch dot eval floor fma full gather isfinite lerp
+make_opaque maximum minimum norm normalize opaque pi rcp reinterpret_array round rsqrt safe_acos safe_asin safe_sqrt
+select sin sincos sqrt squared_norm while_loop width zeros FilterMode WrapMode""".split()
 MITSUBA = """BSDFContext BSDFFlags Bool DirectionSample3f DiscreteDistribution DiscreteDistribution2D Emitter
 EmitterFlags EmitterPtr Float Frame3f Normal3f PCG32 Point1f Point2f Point3f Ray3f RayDifferential3f RayFlags Spectrum
 SurfaceInteraction3f TensorXf Texture Texture1f Texture2f Texture3f UInt32 UInt64 Vector3f has_flag sample_tea_32

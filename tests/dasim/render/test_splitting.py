@@ -36,10 +36,8 @@ def _rays(place_px, on_lens):
     slope = film / PX_PER_M - mi.Point2f(origin.x, origin.y)
     ray = mi.RayDifferential3f(mi.Ray3f(origin, dr.normalize(mi.Vector3f(slope.x, slope.y, 1.0))))
     ray.wavelengths = mi.Spectrum(550.0)
-    shared = SimpleNamespace(
-        cells=mi.Float(CELLS), pinhole=lambda at: at, axis=mi.Point2f(16, 12), px_per_m=mi.Float(PX_PER_M)
-    )
-    return shared, SimpleNamespace(place=place, film=film, ray=ray)
+    shared = SimpleNamespace(pinhole=lambda at: at, axis=mi.Point2f(16, 12), px_per_m=mi.Float(PX_PER_M))
+    return shared, SimpleNamespace(place=place, cells=mi.Float(CELLS), film=film, ray=ray)
 
 
 def _uv(scene, ray):
