@@ -3,8 +3,9 @@
 Nearly all noise of a textured surface comes from which texel a ray hits and at which wavelengths. Let s be a pinhole
 picture around a pixel at a few wavelengths, linear between them; x the centre of the cell of the pixel that a ray
 passes, a quarter of a pixel wide, half of one in large frames, or a whole pixel (:mod:`dasim.render.one_surface`); w
-the position in the blur for which the ray was sampled, with density q; h the kernel of a surface at one depth; and K the mean of h over the wavelengths, separately for each
-wavelength of s. With C = response x light x h(w) / q(w) at each wavelength of the ray,
+the position in the blur for which the ray was sampled, with density q; h the kernel of a surface at one depth; and K
+the mean of h over the wavelengths, separately for each wavelength of s. With C = response x light x h(w) / q(w) at
+each wavelength of the ray,
 
     f = sum of C (s(x - w) - F) / sum of C,    F = mean over the pixel's cells of s, blurred by K,
 
