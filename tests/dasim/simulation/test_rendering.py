@@ -86,7 +86,7 @@ def test_few_samples_have_no_bias_where_one_depth_is_seen(make_scene, da_mobile,
     """Rationale: in the tail of the hole's diffraction pattern, a ray in hundreds meets another depth. Four rays of
     which one does so were taken for two layers, and its light counted too much: 0.05 to 0.1 % beside an edge.
 
-    Set-up: a white card before a black wall, infrared through the hole; the mean of 20 pairs of pictures of 4 samples,
+    Set-up: a white card before a black wall, infrared through the hole; the mean of 32 pairs of pictures of 4 samples,
     and of 8 pairs of 16, over the pixels of the card that see one depth, up to 14 px from those that may see both.
 
     Expectation: no difference, to 4.5 standard errors; if layers are separated at 4 samples, a lack of light, by 5.
@@ -116,7 +116,7 @@ def test_few_samples_have_no_bias_where_one_depth_is_seen(make_scene, da_mobile,
     many = means(16, 8, FEWEST_OF_LAYERS)
     z = []
     for layers_from in (FEWEST_OF_LAYERS, 1):
-        few = means(FEWEST_SPP, 20, layers_from)
+        few = means(FEWEST_SPP, 32, layers_from)
         z.append((few.mean() - many.mean()) / np.sqrt(few.var(ddof=1) / len(few) + many.var(ddof=1) / len(many)))
     assert abs(z[0]) < 4.5 and z[1] < -5, z
 
