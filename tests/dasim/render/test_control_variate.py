@@ -86,6 +86,33 @@ def test_the_mean_is_exact_where_blur_is_large_and_its_edge_sharp(jit, picture):
         assert found[channel] == pytest.approx(value, abs=3e-5)
 
 
+def test_a_whole_pixel_reads_the_mean_of_its_cells(jit, picture):
+    """Rationale: a pixel that is a single cell has the same F as one of many cells.
+
+    Expectation: at any shift, what it reads is the mean of what the 16 cells of the pixel read.
+    """
+    import mitsuba as mi
+
+    def profiles(levels, radius):
+        return np.ones((len(levels), len(radius), 2, 2))
+
+    without = dataclasses.replace(picture, edge_px=np.full([side + 12 for side in SIZE], -1.0, np.float32))
+    of_cells, whole = (
+        control_variate.control(fine, np.full(SIZE, 3.0), 0.5, (0.25, 0.0), 2.0, profiles)
+        for fine in (picture, without)
+    )
+    np.testing.assert_array_equal(of_cells.expected, whole.expected)
+    pixel, shift = 4 * SIZE[1] + 5, (0.37, -1.22)
+
+    def read(control, x, y):
+        seen = control.at(mi.UInt32(pixel), mi.Point2f(float(5 + x), float(4 + y)), mi.Point2f(*shift))[0]
+        return np.array([value[0] for value in seen])
+
+    middles = (np.arange(4) + 0.5) / 4
+    mean = np.mean([read(of_cells, x, y) for x in middles for y in middles], axis=0)
+    np.testing.assert_allclose(read(whole, 0.1, 0.8), mean, rtol=1e-5)
+
+
 def test_rounding_does_not_carry_light_from_bright_places_to_dark_ones(jit):
     """Expectation: of a surface of 1 beside a lamp of 1e5 out of the kernel's reach, F stays 1 within 1e-6."""
     flat, lamp = np.ones((4 * 52, 4 * 52, 1), np.float32), np.ones((4 * 52, 4 * 52, 1), np.float32)
