@@ -51,7 +51,7 @@ def test_a_wrong_variance_or_share_fails(stated, shares):
 @pytest.mark.parametrize("heeded", [True, False])
 def test_auto_that_aims_at_the_median_fails_at_the_percentile(small, monkeypatch, heeded):
     """Set-up: a share that the pilot alone does not reach."""
-    monkeypatch.setattr(truth_noise, "AUTO_SHARE", 0.4)
+    monkeypatch.setattr(truth_noise, "AUTO_SHARE", 0.25)
     if not heeded:
         true, wanted = rendering_noise.shares_at, adaptive_sampling.wanted_spp
         monkeypatch.setattr(adaptive_sampling, "shares_at", lambda ratio, percentiles: true(ratio, [30.0]))
