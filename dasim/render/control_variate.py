@@ -30,7 +30,7 @@ Tested in tests/dasim/render/test_control_variate.py.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
@@ -41,7 +41,8 @@ from scipy import fft
 from dasim.camera.sensor import principal_point
 from dasim.camera.specification import Camera
 from dasim.render import one_surface
-from dasim.render.plugin import texture
+from dasim.render.frozen import HOST_ONLY
+from dasim.render.plugin import aligned, texture
 from dasim.typing import Float32Array, FloatArray
 
 CELLS, FEWER_CELLS = 4, 2  # nodes of s per pixel, along each axis, even; fewer in large frames
@@ -117,13 +118,14 @@ class Control:
     extent: Any  # size of the picture along x and y, pixels
     margin_px: Any
     cells: Any  # cells per pixel along each axis; s is read at their centres
-    whole: Any  # whether each pixel of the frame is a single cell, row by row
+    whole: Any  # 1 for each pixel of the frame that is a single cell, row by row
     level: Any  # blur level of each pixel of the frame, row by row
     blur_px: Any  # signed visible blur of each level
     reach_px: Any  # radius of the kernel of each level
     centre: Any  # centre of the stop, in radii of the lens
-    expected: NDArray[np.float32]  # F, [pixel, channel]
-    lacking: NDArray[np.float32] | None  # what the kernels of the rays lack, [pixel, channel]; None for nothing
+    expected: NDArray[np.float32] = field(metadata=HOST_ONLY)  # F, [pixel, channel]
+    # What the kernels of the rays lack, [pixel, channel]; None for nothing
+    lacking: NDArray[np.float32] | None = field(metadata=HOST_ONLY)
 
     def at(self, pixel: Any, place: Any, w: Any) -> tuple[list[Any], Any, Any]:
         """Values of s per band at positions w in the blur of each pixel; also the visible blur of the pixel's level and
@@ -140,7 +142,7 @@ class Control:
 
         level = dr.gather(mi.UInt32, self.level, pixel)
         blur = dr.gather(mi.Float, self.blur_px, level)
-        whole, cells = dr.gather(mi.Bool, self.whole, pixel), self.cells_at(pixel)
+        whole, cells = self._is_whole(pixel), self.cells_at(pixel)
         place = (dr.floor(place * cells) + 0.5) / cells
         node = 0.5 / self.cells
         at = place - w + self.centre * (blur / 2) + self.margin_px + dr.select(whole, node, 0.0)
@@ -152,9 +154,14 @@ class Control:
     def cells_at(self, pixel: Any) -> Any:
         """Cells per pixel and axis at pixels of the frame."""
         import drjit as dr
+
+        return dr.select(self._is_whole(pixel), 1.0, self.cells)
+
+    def _is_whole(self, pixel: Any) -> Any:
+        import drjit as dr
         import mitsuba as mi
 
-        return dr.select(dr.gather(mi.Bool, self.whole, pixel), 1.0, self.cells)
+        return dr.gather(mi.UInt32, self.whole, pixel) > 0
 
 
 def control(
@@ -204,11 +211,11 @@ def control(
         extent=mi.Point2f(dr.opaque(mi.Float, width), dr.opaque(mi.Float, height)),
         margin_px=dr.opaque(mi.Float, fine.margin_px),
         cells=dr.opaque(mi.Float, fine.cells),
-        whole=mi.Bool(one.ravel()),
-        level=mi.UInt32(level.astype(np.uint32).ravel()),
+        whole=mi.UInt32(aligned(one.astype(np.uint32))),
+        level=mi.UInt32(aligned(level.astype(np.uint32))),
         # At least two entries: for an array of one entry, the compiler omits the lookup, which gives another kernel.
-        blur_px=mi.Float(np.append(levels, levels[-1]).astype(np.float32)),
-        reach_px=mi.Float(np.append(reach, reach[-1]).astype(np.float32)),
+        blur_px=mi.Float(aligned(np.append(levels, levels[-1]))),
+        reach_px=mi.Float(aligned(np.append(reach, reach[-1]))),
         centre=mi.Point2f(*(dr.opaque(mi.Float, value) for value in centre)),
         expected=expected,
         lacking=others[0] - expected if others else None,

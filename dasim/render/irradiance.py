@@ -23,9 +23,10 @@ Tested in tests/dasim/render/test_irradiance.py and tests/dasim/render/test_pass
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
+from dasim.render.frozen import HOST_ONLY
 from dasim.render.lamps import Cell, Grid
 from dasim.render.light_spectra import NODES
 from dasim.spectra import grid
@@ -58,10 +59,10 @@ class Field:
     surface: Any  # flat [node, (1/z, normal, mean inverse distance of the surroundings in 1/m)]
     usable: Any  # per cell: 1 where the corners agree
     even: Any  # per node: 1 where the irradiance agrees with that of the neighbours on the same surface
-    light: FloatArray  # spectrum of all lights together, on the wavelength grid
+    light: FloatArray = field(metadata=HOST_ONLY)  # spectrum of all lights together, on the wavelength grid
     spectra: Any  # of each light as a texture over wavelength
     spectrum_nodes: int  # of that texture
-    share: float  # of the frame and its margin, where cells are usable
+    share: float = field(metadata=HOST_ONLY)  # of the frame and its margin, where cells are usable
     lamps: Grid | None  # None where every ray draws one emitter
     coats: Any  # see :func:`dasim.render.coats.table`
 

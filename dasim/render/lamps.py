@@ -296,9 +296,9 @@ def grid_of(
     samples = np.ones(MOST_EMITTERS, np.uint32)  # a table of one number would be a constant
     samples[: len(numbers)] = np.where(usable[:, :even_cells].mean(axis=1) < CLEAR, SPLIT, 1)
     return Grid(
-        whole=mi.Float(whole[:, slots].astype(np.float32).ravel()),
-        seen=mi.Float(seen[:, slots].astype(np.float32).ravel()),
-        usable=mi.UInt32(usable.astype(np.uint32).ravel()),
+        whole=mi.Float(aligned(whole[:, slots])),
+        seen=mi.Float(aligned(seen[:, slots])),
+        usable=mi.UInt32(aligned(usable.astype(np.uint32))),
         samples=mi.UInt32(aligned(samples)),
         nodes=dr.opaque(mi.UInt32, len(slots)),
         cells=dr.opaque(mi.UInt32, len(corners)),
@@ -328,7 +328,7 @@ def _traced(
 
         def of_nodes(values: FloatArray, node: Any = node) -> list[Any]:
             columns = np.ascontiguousarray(values.T, dtype=np.float32)
-            return [dr.gather(mi.Float, mi.Float(column), node) for column in columns]
+            return [dr.gather(mi.Float, mi.Float(aligned(column)), node) for column in columns]
 
         at = dr.zeros(mi.SurfaceInteraction3f, size * SAMPLES)
         at.p = mi.Point3f(*of_nodes(np.column_stack([slope[part], np.ones(size)]) / here[:, :1]))

@@ -55,7 +55,7 @@ class Lights:
             table[number] = emitter_lights[0]
         layered = next((entry for entry in self.emitters if len(set(entry[1])) > 1), None)
         place = dr.opaque(mi.UInt32, _number(layered[0])) if layered else None
-        return Shares(self.slots, mi.UInt32(table), layered, place)
+        return Shares(self.slots, mi.UInt32(aligned(table)), layered, place)
 
 
 @dataclass(frozen=True)

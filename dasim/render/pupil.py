@@ -12,6 +12,7 @@ from dasim.camera import pointspread, stops, wavefront
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Mask, Polygon, Stop
 from dasim.render.blur_tables import texture
+from dasim.render.plugin import aligned
 
 Draw = Callable[[Any], Any]  # two uniform numbers -> a place, in ratios of the lens's radius
 
@@ -26,7 +27,7 @@ def drawer(stop: Stop) -> Draw:
     if isinstance(stop, Polygon):
         corners = stops.triangles(stop.corners_ratio)
         choice = mi.DiscreteDistribution(stops.triangle_areas(corners).astype(np.float32))
-        return _OnTriangles(choice, mi.Float(corners.astype(np.float32).ravel()))
+        return _OnTriangles(choice, mi.Float(aligned(corners)))
     assert isinstance(stop, Mask)
     cells = np.array(stop.mask, dtype=np.float32)
     return _OnCells(mi.DiscreteDistribution2D(cells), len(cells))

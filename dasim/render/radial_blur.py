@@ -6,7 +6,7 @@ rejection with density D(delta), where delta = -u - rho c1 / 2 and c1 is the blu
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from scipy import ndimage
 from dasim.render import control_variate, field_angle
 from dasim.render.blur_tables import AberratedRows, Drawn, texel
 from dasim.render.control_variate import Control, Fine
+from dasim.render.frozen import HOST_ONLY
 from dasim.render.wavelengths import tents
 from dasim.typing import Float32Array, FloatArray
 
@@ -84,7 +85,7 @@ class RadialBlur:
     guide: Any  # [c, GUIDE_NODES + 1], flat: |u| at equal steps of probability of q
     wave: Any  # [waves, radius] h in units of lambda N
     averaged: Any | None  # the same over nearby wavelengths, see :meth:`over_wavelengths`; None with aberrations
-    plain: Plain
+    plain: Plain = field(metadata=HOST_ONLY)
     aberrated: AberratedRows | None = None  # rows of h with aberrations
 
     def over_wavelengths(self) -> RadialBlur:

@@ -16,6 +16,7 @@ from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.camera.wavefront import Wavefront
 from dasim.render.blur_tables import FLOOR, AberratedRows, aberrated, cut_off, light, texture
+from dasim.render.plugin import aligned
 from dasim.render.radial_blur import (
     DENSITY_BLUR_STEP_PX,
     DENSITY_STEP_PX,
@@ -89,12 +90,12 @@ def tables(
         columns=dr.opaque(mi.UInt32, len(radius)),
         wave_rows=dr.opaque(mi.UInt32, len(table)),
         wave_columns=dr.opaque(mi.UInt32, len(scaled)),
-        offsets=mi.Float(offsets.astype(np.float32)),
+        offsets=mi.Float(aligned(offsets)),
         light_inside=texture(light_inside),
         light_columns=dr.opaque(mi.UInt32, len(lengths)),
         density=texture(density),
         envelope=texture(np.maximum.accumulate(density[0, ::-1])[::-1]),
-        guide=mi.Float(_guide(radius, blurs, density, wave, scales, reach, inner).astype(np.float32).ravel()),
+        guide=mi.Float(aligned(_guide(radius, blurs, density, wave, scales, reach, inner))),
         wave=texture(table, channels=rows is not None),
         averaged=None if averaged is None else texture(averaged),
         plain=Plain(wave.astype(np.float32), averaged, px_per_nm, ring.outer, ring.centre, core),

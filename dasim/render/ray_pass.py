@@ -18,7 +18,7 @@ from dasim.camera.stops import Stop
 from dasim.render import lamps, pupil, transport, wave
 from dasim.render.control_variate import CELLS, Control
 from dasim.render.irradiance import Field
-from dasim.render.plugin import texture
+from dasim.render.plugin import aligned, texture
 from dasim.render.radial_blur import RadialBlur
 from dasim.render.wavelengths import Responses, draw_table, frame_density
 from dasim.spectra import grid
@@ -68,7 +68,7 @@ class Pass:
     middle: Any  # inverse depth that the middle of each pixel sees, 1/m; None where it does not matter
     slope: Any  # its change along x and y, 1/m per pixel
     axial_colour: bool
-    draw_pupil: pupil.Draw | None  # None for a pinhole
+    draw_pupil: pupil.Draw | None  # None for a pinhole and with wave optics
     blur: wave.Blur | None  # None for geometric optics
     aberration: pupil.Aberration | None  # in geometric optics
     in_focus: bool  # whether every depth is, see :func:`dasim.render.ray_loop.render`
@@ -78,7 +78,8 @@ class Pass:
     @property
     def has_single_wavelengths(self) -> bool:
         """Whether all wavelengths of a ray are the same: with axial colour, where the wavelength sets its direction."""
-        return self.axial_colour and not self.in_focus and self.draw_pupil is not None
+        has_lens = self.draw_pupil is not None or self.blur is not None
+        return self.axial_colour and not self.in_focus and has_lens
 
 
 def prepare(
@@ -114,7 +115,7 @@ def prepare(
         middle = _middle_vergence(scene, pinhole(corner_of(pixels, columns) + 0.5 - axis) / scale)
         steepest = MOST_SLOPE / (px_per_m(camera) * geometry.aperture_m(camera))
         along = _slopes(np.array(middle).reshape(responses.place.shape), steepest)
-        slope = mi.Point2f(*(mi.Float(part.astype(np.float32).ravel()) for part in along))
+        slope = mi.Point2f(*(mi.Float(aligned(part)) for part in along))
     return Pass(
         scene=scene,
         field=field,
@@ -132,11 +133,11 @@ def prepare(
         table=texture(table, filter_mode=dr.FilterMode.Nearest),
         rings=dr.opaque(mi.Float, len(table)),
         middle_ring=dr.opaque(mi.Float, middle_ring(responses)),
-        place=mi.Float(responses.place.astype(np.float32).ravel()),
+        place=mi.Float(aligned(responses.place)),
         middle=middle,
         slope=slope,
         axial_colour=bool(camera.lens.focal_shift_um),
-        draw_pupil=None if stop is None else pupil.drawer(stop),
+        draw_pupil=None if stop is None or blur is not None else pupil.drawer(stop),
         blur=blur,
         aberration=pupil.aberration(camera, stop, mean_nm) if stop is not None and blur is None else None,
         in_focus=in_focus,

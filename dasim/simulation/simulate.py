@@ -22,7 +22,7 @@ from dasim.camera import sensor as sensors
 from dasim.camera.noise import Exposure, NoiseModel
 from dasim.camera.specification import Camera, as_camera
 from dasim.loading import as_scene
-from dasim.render import backend, light_spectra, translate, truth
+from dasim.render import backend, frozen, light_spectra, translate, truth
 from dasim.render.foreign.reading import render_error
 from dasim.scene import specification as scenes
 from dasim.scene.classes import class_numbers
@@ -121,7 +121,7 @@ def sensor_light(
     checks.check_options(spp, seed, diffraction, noise_share, noise_at)
     checks.check_exposure(exposure)
     sampling = Sampling(spp, noise_share, noise_at, seed)
-    with _RENDERING:
+    with _RENDERING, frozen.sharing():
         return _rendered(scene, camera, sampling, independent_mean, exposure, diffraction, variant, progress)
 
 

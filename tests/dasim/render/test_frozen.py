@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import itertools
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
 
 import dasim
-from dasim.render import backend, irradiance_tracing, pinhole, ray_batches, ray_loop
+from dasim.base.errors import InputError
+from dasim.render import backend, frozen, irradiance_tracing, pinhole, ray_batches, ray_loop
 
 LANES = 1 << 13  # of a batch: passes have many, the last of them smaller
+MOST_TRACED = 5  # batches of a capture: through the lens, a pinhole (two kinds of passes), and of another size
 
 
 @pytest.fixture
@@ -69,8 +74,13 @@ def _check_same(capture, monkeypatch):
         np.testing.assert_array_equal(getattr(first.truth, picture), getattr(second.truth, picture))
 
 
-def test_one_batch_of_a_pass_is_traced(captured, monkeypatch):
-    """Expectation: of many batches per pass one is traced, and one more where the last is a single chunk of rays."""
+@pytest.mark.parametrize("is_shared", [False, True])
+def test_one_batch_of_a_pass_is_traced(captured, monkeypatch, is_shared):
+    """Expectation: of many batches per pass one is traced, and one more where the last is a single chunk of rays; of
+    all passes of a capture, one per kind.
+    """
+    if not is_shared:
+        monkeypatch.setattr(frozen, "sharing", contextlib.nullcontext)
     called: dict[str, Iterator[int]] = {name: itertools.count() for name in ("frozen", "block_of", "aim")}
 
     def count(module, name):
@@ -90,4 +100,53 @@ def test_one_batch_of_a_pass_is_traced(captured, monkeypatch):
     passes, batches, traced = (next(calls) for calls in called.values())
     assert passes > 5
     assert batches > 5 * passes
-    assert passes <= traced <= 2 * passes
+    assert traced <= MOST_TRACED if is_shared else passes <= traced <= 2 * passes
+
+
+@dataclasses.dataclass(frozen=True)
+class _Table:
+    values: Any
+    name: str = dataclasses.field(metadata=frozen.HOST_ONLY)
+
+
+def test_what_the_host_alone_reads_is_left_out(jit):
+    """Expectation: another name is no reason to trace again, another number is; both give the right values."""
+    import mitsuba as mi
+
+    if jit.startswith("cuda"):
+        pytest.skip("frozen functions are for processors")
+    names: list[list[str]] = []
+    note = names.append  # Dr.Jit looks into lists
+
+    def scaled(tables, factor):
+        note([table.name for table in tables])
+        return [table.values * factor for table in tables]
+
+    def values(name, factor):
+        tables = [_Table(mi.Float([1.0, 2.0, 3.0]), name), _Table(mi.Float([4.0, 5.0]), name)]
+        return [value.numpy().tolist() for value in frozen.frozen(scaled)(tables, factor)]
+
+    with frozen.sharing():
+        assert values("a", 2) == values("b", 2) == [[2.0, 4.0, 6.0], [8.0, 10.0]]
+        assert names == [[None, None]]
+        assert values("a", 3)[1] == [12.0, 15.0]
+        assert len(names) == 2
+    values("a", 2)
+    assert len(names) == 3
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), InputError("no light")])
+def test_errors_of_a_function_are_those_that_the_caller_gets(jit, error):
+    """Rationale: a command that is stopped while a function is traced ends like any other."""
+    import drjit as dr
+    import mitsuba as mi
+
+    def fails(values):
+        def body(values):
+            raise error
+
+        return dr.while_loop((values,), lambda values: values < 3, body)
+
+    with pytest.raises(type(error)) as raised:
+        frozen.frozen(fails)(mi.Float([1.0, 2.0, 3.0]))
+    assert raised.value is error
