@@ -52,7 +52,6 @@ LARGE_FRAME_PX = 600_000
 # off by 1 %.
 GRIDS, GRID_MARGIN = (2, 4), 0.5
 LEVEL_STEP_PX, LEVEL_SHARE = 0.5, 0.04  # spacing of blur levels: the larger of a length and a fraction of the blur
-TAIL_RINGS = 16.0  # K ends this many lambda N beyond the geometric blur
 RADIUS_STEP = 0.1  # step of the table of K, relative to the spacing of the grid points
 # Visible blur of the farthest level; kernels of more would take gigabytes, and F need not be exact for a mean without
 # bias.
@@ -190,8 +189,11 @@ def control(
     import drjit as dr
     import mitsuba as mi
 
-    number, level = np.unique(_level(np.clip(blur_px, -MOST_BLUR_PX, MOST_BLUR_PX)), return_inverse=True)
-    levels = _blur_of(number)
+    # Of the blur of the stop, displacement included: the kernels of a small stop differ less from depth to depth.
+    share = outer + float(np.hypot(*centre))
+    own = share * np.clip(blur_px, -MOST_BLUR_PX, MOST_BLUR_PX)
+    number, level = np.unique(_level(own), return_inverse=True)
+    levels = _blur_of(number) / share
     reach = outer * np.abs(levels) / 2 + tail_px
     step_px = RADIUS_STEP / points
     radius = np.arange(0.0, reach.max() + 2 * step_px, step_px)

@@ -173,16 +173,11 @@ class RadialBlur:
             return self.profiles(spectrum, levels, radius)
 
         return control_variate.control(
-            fine, blur_px, self.plain.outer, self.plain.centre, self.reach_px, profiles, points, of_single
+            fine, blur_px, self.plain.outer, self.plain.centre, self.extent_px(spectrum), profiles, points, of_single
         )
 
-    @property
-    def reach_px(self) -> float:
-        """How far kernels of the control variate reach beyond the geometric blur."""
-        return control_variate.TAIL_RINGS * self.plain.core_px / 2
-
     def extent_px(self, spectrum: Spectrum) -> float:
-        """Radius at which the kernels in focus end."""
+        """Radius at which the kernels in focus end, and how far others reach beyond the geometric blur."""
         return KERNEL_RINGS * float(spectrum.nm.max()) * self.plain.px_per_nm
 
     def points(self, spectrum: Spectrum, cells: int) -> int | None:
