@@ -42,7 +42,7 @@ from dasim.camera.sensor import principal_point
 from dasim.camera.specification import Camera
 from dasim.render import one_surface
 from dasim.render.frozen import HOST_ONLY
-from dasim.render.plugin import aligned, texture
+from dasim.render.plugin import aligned, aligned_zeros, texture
 from dasim.typing import Float32Array, FloatArray
 
 CELLS, FEWER_CELLS = 4, 2  # nodes of s per pixel, along each axis, even; fewer in large frames
@@ -113,7 +113,7 @@ def wider(camera: Camera, margin_px: int) -> Camera:
 class Control:
     """The control variate of a stop."""
 
-    picture: Any  # texture of s, a channel per band; below it, the means of s over a pixel, see :func:`_pixel_boxes`
+    picture: Any  # texture of s, a channel per band; below it, means over a pixel, see :func:`_with_pixel_boxes`
     extent: Any  # size of the picture along x and y, pixels
     margin_px: Any
     cells: Any  # cells per pixel along each axis; s is read at their centres
@@ -209,7 +209,7 @@ def control(
     if fine.edge_px is not None:
         one = one_surface.seen(fine.edge_px, fine.margin_px, outer)
     return Control(
-        picture=texture(np.concatenate([fine.ratio, _pixel_boxes(fine)])),
+        picture=texture(_with_pixel_boxes(fine)),
         extent=mi.Point2f(dr.opaque(mi.Float, width), dr.opaque(mi.Float, height)),
         margin_px=dr.opaque(mi.Float, fine.margin_px),
         cells=dr.opaque(mi.Float, fine.cells),
@@ -328,15 +328,19 @@ def _pixel_means(picture: NDArray[np.float32], cells: int, spare_px: int, points
     return means
 
 
-def _pixel_boxes(fine: Fine) -> Float32Array:
-    """Means of s over squares as wide as a pixel, at the upper left corners of the nodes, [y, x, band].
+def _with_pixel_boxes(fine: Fine) -> Float32Array:
+    """s, and below it the means of s over squares as wide as a pixel, at the upper left corners of the nodes,
+    [y, x, band].
 
     Between the corners they are linear, as s is between its nodes. Read at the centre of a pixel, they are therefore
     the mean of s over the pixel's cells, for every shift, and both have the same F.
     """
     size, middle = (fine.cells, fine.cells), (fine.cells // 2, fine.cells // 2)
-    means = cv2.blur(np.ascontiguousarray(fine.ratio), size, anchor=middle, borderType=cv2.BORDER_REPLICATE)
-    return np.asarray(means).reshape(fine.ratio.shape)
+    height = len(fine.ratio)
+    picture = aligned_zeros((2 * height, *fine.ratio.shape[1:]))  # in place: it is the largest array of a capture
+    picture[:height] = fine.ratio
+    cv2.blur(picture[:height], size, dst=picture[height:], anchor=middle, borderType=cv2.BORDER_REPLICATE)
+    return picture
 
 
 def _sampled(profiles: FloatArray, half: int, shift: FloatArray, points: int) -> NDArray[np.float32]:

@@ -171,9 +171,11 @@ def sharp_pictures(view: View, sampling: Sampling, progress: Progress) -> SharpP
         more_spp = (2 * allotted_spp([_pair(sharp.rate[..., :channels])], MORE_SPP)[0]).astype(np.uint16)
     fine = sharp.fine
     del sharp, mean
-    controls = [
-        passes.control_of(scene, camera, stop, fine, max_blur_px=view.reach_px, field=field) for stop in camera.stops
-    ]
+    controls = []
+    for stop in camera.stops:
+        controls.append(passes.control_of(scene, camera, stop, fine, max_blur_px=view.reach_px, field=field))
+        if fine is not None:
+            del fine[stop.name]  # large, and the next control is as large
     return SharpPictures(rate, of_twin, field, controls, in_focus, others, more_spp)
 
 

@@ -122,7 +122,9 @@ def sensor_light(
     checks.check_exposure(exposure)
     sampling = Sampling(spp, noise_share, noise_at, seed)
     with _RENDERING, frozen.sharing():
-        return _rendered(scene, camera, sampling, independent_mean, exposure, diffraction, variant, progress)
+        light = _rendered(scene, camera, sampling, independent_mean, exposure, diffraction, variant, progress)
+        backend.release_memory()  # of the scene and its pictures
+        return light
 
 
 def _rendered(
