@@ -20,10 +20,10 @@ from dasim.typing import FloatArray
 from validation.subjects import rendering
 
 DARK, BRIGHT = "carbon-black", "white-paper"
-# Light between a slanted plane and the wall is 0.2 % of the sun's on carbon black. It is uneven, and the wave and the
-# geometric kernel spread it differently: by 0.03 %, which the Z-test sees.
-DARKER = "black-trap"
-MATERIALS = {DARKER: {"kind": "spectrum", "points": [[400.0, 0.003], [830.0, 0.003]]}}
+# Between planes of carbon black goes 0.02 to 0.2 % of the sun's light. It is uneven, and the wave and the geometric
+# kernel spread it differently: by up to 0.03 %, which a Z-test sees. So planes of equal radiance are darker.
+BLACK = "black-trap"
+MATERIALS = {BLACK: {"kind": "spectrum", "points": [[400.0, 0.003], [830.0, 0.003]]}}
 FAR_BLUR_PX = -1.0
 WIDE_CM = 100.0  # of a plane: beyond the view at any depth
 SUN_ELEVATION_DEG, SUN_AZIMUTH_DEG = 20.0, 150.0  # behind the camera, to the right: shadows fall outside the view
@@ -40,7 +40,7 @@ def plane(
     name: str,
     camera: Camera,
     blur_px: float,
-    material: str = DARK,
+    material: str = BLACK,
     *,
     to_px: float | None = None,
     wide_cm: float = WIDE_CM,
