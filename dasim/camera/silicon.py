@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dasim.spectra import grid
+from dasim.spectra import grid, tables
 from dasim.typing import FloatArray
 
 _TABLE = Path(__file__).parents[1] / "data" / "silicon.csv"
@@ -20,7 +20,7 @@ def absorption_per_um() -> FloatArray:
     Interpolated linearly in its logarithm. The length 1 / alpha is 0.4 um at 450 nm, 1.6 um at 550 nm, 3.6 um at
     650 nm, 6.5 um at 730 nm and 11.8 um at 800 nm.
     """
-    nm, extinction = np.loadtxt(_TABLE, delimiter=",", comments=("#", "w"), unpack=True)
+    nm, extinction = tables.columns(_TABLE).values()
     alpha = 4 * np.pi * extinction / (nm * 1e-3)
     result = np.exp(np.interp(grid.WAVELENGTH_NM, nm, np.log(alpha)))
     result.flags.writeable = False

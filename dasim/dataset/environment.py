@@ -11,7 +11,7 @@ from typing import Any
 from dasim.render import backend
 
 LIBRARIES = (  # that determine the bytes of pixels and files
-    *("mitsuba", "drjit", "numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "colour-science"),
+    *("mitsuba", "drjit", "numpy", "scipy", "numba", "opencv-python-headless", "scikit-image"),
     *("trimesh", "OpenEXR", "pyarrow"),
 )
 NVIDIA = Path("/proc/driver/nvidia")  # information provided by NVIDIA's driver for Linux

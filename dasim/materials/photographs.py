@@ -25,8 +25,11 @@ from dasim.base.errors import InputError
 from dasim.base.suggestions import did_you_mean
 from dasim.materials import patterns, reflectances
 from dasim.materials.surfaces import Diffuse, Mixture, Surface
+from dasim.spectra import tables
 from dasim.spectra.grid import LUMINANCE, WAVELENGTH_NM, long_pass
 from dasim.typing import Float32Array, FloatArray
+
+_BASIS_TABLE = Path(__file__).parents[1] / "data" / "srgb_basis.csv"
 
 NEAR_INFRARED_RULES = ("print", "dyed", "achromatic")
 BLACK_INK = "carbon-black"
@@ -116,9 +119,8 @@ def _achromatic_corner(rgb: tuple[int, int, int]) -> FloatArray:
 @cache
 def _srgb_basis() -> FloatArray:
     """Reflectances of the sRGB primaries, [3, wavelength], which sum to 1 (Mallett and Yuksel 2019)."""
-    from colour.recovery import MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019 as table
-
-    return np.stack([np.interp(WAVELENGTH_NM, table.wavelengths, column) for column in table.values.T])
+    wavelength_nm, *primaries = tables.columns(_BASIS_TABLE).values()
+    return np.stack([np.interp(WAVELENGTH_NM, wavelength_nm, values) for values in primaries])
 
 
 # --- files ---------------------------------------------------------------------------------------

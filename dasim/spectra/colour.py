@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dasim.spectra import colour_checker, grid
+from dasim.spectra import colour_checker, grid, observer
 from dasim.spectra.grid import LUMINANCE
 from dasim.typing import Float32Array, FloatArray
 
@@ -15,6 +15,11 @@ EXPOSED_PERCENTILE = 99.0  # of luminance, which the exposure brings to ...
 EXPOSED_LUMINANCE = 0.9  # ... this value
 STRIP_ROWS = 256  # rows converted at a time
 DARKEST = 0.02  # luminance below which the weight of a patch does not increase
+
+# Linear sRGB from XYZ, and the white of D65 at Y = 1 (IEC 61966-2-1); cone responses from XYZ (Lam 1985, CIE 160:2004).
+_SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
+_D65_XYZ = np.array([0.3127 / 0.3290, 1.0, (1 - 0.3127 - 0.3290) / 0.3290])
+_BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 
 
 def fitted_matrix(response: FloatArray, power: FloatArray) -> FloatArray:
@@ -65,11 +70,9 @@ def to_srgb_matrix(white_xyz: FloatArray) -> FloatArray:
 
     ``white_xyz`` [3] is a perfect diffuser under the light, of Y = 1.
     """
-    import colour
-
-    d65 = colour.xy_to_XYZ(colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"])
-    adapt = colour.adaptation.matrix_chromatic_adaptation_VonKries(white_xyz, d65, transform="Bradford")
-    return np.asarray(colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB @ adapt)
+    cone, sharpened = _BRADFORD @ white_xyz, _BRADFORD @ _D65_XYZ
+    adapt = np.linalg.inv(_BRADFORD) @ np.diag(sharpened / cone) @ _BRADFORD
+    return np.asarray(_SRGB_FROM_XYZ @ adapt)
 
 
 def white_xyz(power: FloatArray) -> FloatArray:
@@ -85,11 +88,7 @@ def _linear_srgb(power: FloatArray) -> FloatArray:
 
 def _tristimulus(power: FloatArray) -> FloatArray:
     """XYZ [n, 3] of spectra [n, wavelength] by the CIE 1931 observer; the last, which is white, has Y = 1."""
-    import colour
-
-    observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
-    curves = [np.interp(grid.WAVELENGTH_NM, observer.wavelengths, c, right=0.0) for c in observer.values.T]
-    xyz = grid.integrate(power[:, None, :] * np.stack(curves))
+    xyz = observer.tristimulus(power)
     return np.asarray(xyz / xyz[-1, 1])
 
 

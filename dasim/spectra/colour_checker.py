@@ -1,6 +1,6 @@
 """The 24 patches of the X-Rite (GretagMacbeth) ColorChecker: one chart for scenes, one for colour matrices.
 
-The chart for scenes covers 400 to 830 nm. Up to 720 nm it has the spectra of N. Ohta (1997) from colour-science. That
+The chart for scenes covers 400 to 830 nm. Up to 720 nm it has the spectra of N. Ohta (1997). That
 table ends at 780 nm, and its last 60 nm lie below the values of other instruments (by 0.09 for the orange patch), so
 that it is not used beyond 720 nm. There the reflectance is linear between three values per patch, which were read to
 0.01 from the chart that ISETCam publishes as measured to beyond 1,000 nm (macbethChart, MIT licence). Charts differ:
@@ -16,16 +16,20 @@ Tested in tests/dasim/materials/test_reflectances.py.
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
+from dasim.spectra import tables
 from dasim.spectra.grid import WAVELENGTH_NM
 from dasim.typing import FloatArray
 
-TABLE = "ColorChecker N Ohta"
+_TABLE = Path(__file__).parents[1] / "data" / "colour_checker.csv"
+_ISO_TABLE = Path(__file__).parents[1] / "data" / "iso_17321.csv"
+
 TABLE_END_NM = 720.0
 BEYOND_NM = (760.0, 790.0, 830.0)  # wavelengths of the values of the second source
-SOURCE = "ColorChecker: Ohta (1997) to 720 nm (colour-science), then read from ISETCam's chart at 760, 790, 830 nm"
+SOURCE = "ColorChecker: Ohta (1997) to 720 nm, then read from ISETCam's chart at 760, 790, 830 nm"
 
 _REFLECTANCE_BEYOND = {
     "dark-skin": (0.49, 0.50, 0.48),
@@ -59,15 +63,13 @@ PATCHES = tuple(f"checker-{name}" for name in _REFLECTANCE_BEYOND)  # by rows fr
 @cache
 def _curves() -> dict[str, FloatArray]:
     """Reflectances 0..1 of all patches of the chart for scenes by name, each [wavelength]."""
-    import colour
-
-    curves: dict[str, FloatArray] = {}
-    tables = colour.SDS_COLOURCHECKERS[TABLE].values()
-    for name, table, beyond in zip(PATCHES, tables, _REFLECTANCE_BEYOND.values(), strict=True):
-        inside = table.wavelengths <= TABLE_END_NM
-        wavelength_nm = np.concatenate([table.wavelengths[inside], BEYOND_NM])
-        curves[name] = np.interp(WAVELENGTH_NM, wavelength_nm, np.concatenate([table.values[inside], beyond]))
-    return curves
+    table = tables.columns(_TABLE)
+    inside = table["wavelength_nm"] <= TABLE_END_NM
+    wavelength_nm = np.concatenate([table["wavelength_nm"][inside], BEYOND_NM])
+    return {
+        f"checker-{name}": np.interp(WAVELENGTH_NM, wavelength_nm, np.concatenate([table[name][inside], beyond]))
+        for name, beyond in _REFLECTANCE_BEYOND.items()
+    }
 
 
 def curve(patch: str) -> FloatArray:
@@ -78,9 +80,7 @@ def curve(patch: str) -> FloatArray:
 @cache
 def iso_17321_curves() -> FloatArray:
     """Reflectances 0..1 of the 24 patches of ISO 17321-1, [24, wavelength], constant beyond their table; read-only."""
-    import colour
-
-    table = colour.SDS_COLOURCHECKERS["ISO 17321-1"]
-    curves = np.stack([np.interp(WAVELENGTH_NM, sd.wavelengths, sd.values) for sd in table.values()])
+    wavelength_nm, *patches = tables.columns(_ISO_TABLE).values()
+    curves = np.stack([np.interp(WAVELENGTH_NM, wavelength_nm, values) for values in patches])
     curves.setflags(write=False)
     return curves

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dasim.spectra import tables
 from dasim.spectra.grid import WAVELENGTH_NM
 from dasim.typing import FloatArray
 
@@ -47,7 +48,7 @@ def sun_and_sky(elevation_deg: float) -> tuple[FloatArray, FloatArray]:
 @cache
 def _table() -> FloatArray:
     """Wavelength, extraterrestrial irradiance and absorption coefficients of water, ozone and mixed gases, [5, n]."""
-    return np.loadtxt(_TABLE, delimiter=",", comments=("#", "w")).T
+    return np.stack(list(tables.columns(_TABLE).values()))
 
 
 def _spectra(elevation_deg: float) -> tuple[FloatArray, FloatArray]:

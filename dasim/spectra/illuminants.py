@@ -8,24 +8,21 @@ from __future__ import annotations
 
 import re
 from functools import cache
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from dasim.base.errors import InputError, kind_of
 from dasim.base.suggestions import did_you_mean
-from dasim.spectra import daylight
-from dasim.spectra.grid import (
-    LIGHT_SPEED_M_S,
-    NEAR_INFRARED_NM,
-    PLANCK_J_S,
-    WAVELENGTH_NM,
-    integrate,
-    photons_per_joule,
-)
+from dasim.spectra import daylight, tables
+from dasim.spectra.grid import NEAR_INFRARED_NM, WAVELENGTH_NM, integrate, photons_per_joule
+from dasim.spectra.observer import cct_k, luminous_efficiency, planckian
 from dasim.typing import FloatArray
 
-BOLTZMANN_J_K = 1.380649e-23
+_DAYLIGHT_TABLE = Path(__file__).parents[1] / "data" / "daylight.csv"
+_LAMP_TABLE = Path(__file__).parents[1] / "data" / "lamps.csv"
+
 MAX_LUMINOUS_EFFICACY_LM_W = 683.002  # lm/W at 555 nm, CIE 015:2018
 
 _D_SERIES_CCT_K = {"D65": 6504.0, "D55": 5503.0, "D50": 5003.0, "D75": 7504.0}
@@ -66,26 +63,6 @@ class Description(NamedTuple):
     beyond: str  # extrapolation beyond the end of its table
 
 
-@cache
-def luminous_efficiency() -> FloatArray:
-    """CIE 1924 photopic luminous efficiency V(lambda), 0..1, [wavelength], from colour-science."""
-    import colour
-
-    table = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
-    return np.interp(WAVELENGTH_NM, table.wavelengths, table.values, left=0.0, right=0.0)
-
-
-def planckian(temperature_k: float) -> FloatArray:
-    """Relative spectral power of a blackbody by Planck's law, [wavelength], 1 at 560 nm."""
-
-    def law(wavelength_nm: FloatArray | float) -> FloatArray:
-        metres = np.asarray(wavelength_nm) * 1e-9
-        exponent = PLANCK_J_S * LIGHT_SPEED_M_S / (metres * BOLTZMANN_J_K * temperature_k)
-        return metres**-5 / np.expm1(exponent)
-
-    return law(WAVELENGTH_NM) / law(560.0)
-
-
 def illuminant(name: str) -> FloatArray:
     """Spectral irradiance of an illuminant at 1 lux, [wavelength], W m^-2 nm^-1; the array is read-only.
 
@@ -118,7 +95,7 @@ def description(name: str) -> Description:
     low, high = NEAR_INFRARED_NM
     band = (WAVELENGTH_NM >= low) & (WAVELENGTH_NM <= high)
     photons = [np.trapezoid((illuminant(n) * photons_per_joule())[band], WAVELENGTH_NM[band]) for n in (name, "D65")]
-    return Description(name, _cct_k(illuminant(name)), float(photons[0] / photons[1]), _beyond(name))
+    return Description(name, cct_k(illuminant(name)), float(photons[0] / photons[1]), _beyond(name))
 
 
 def _beyond(name: str) -> str:
@@ -144,7 +121,7 @@ def _relative(name: str) -> FloatArray:
     if name == ENERGY_SAVING:
         return _energy_saving()
     if name in _FLUORESCENT:
-        return _table(f"FL{name[1:]}")
+        return _table(name)
     if name in _LEDS:
         return _led(name)
     if match := _BLACKBODY.fullmatch(name):
@@ -170,29 +147,37 @@ def _one_lux(relative: FloatArray) -> FloatArray:
     return np.array(relative / lux(relative))
 
 
-def _daylight(cct_k: float) -> FloatArray:
-    """Relative spectral power of CIE daylight at a correlated colour temperature (CIE 015:2018).
+def _daylight(temperature_k: float) -> FloatArray:
+    """Relative spectral power of CIE daylight at a correlated colour temperature (CIE 015:2018, 4.1.2).
 
     It is computed from the components S0-S2, which reach 830 nm, because the tables of D50 to D75 end at 780 nm.
     """
-    import colour
-
-    chromaticity = colour.temperature.CCT_to_xy_CIE_D(cct_k)
-    table = colour.sd_CIE_illuminant_D_series(chromaticity)
-    return np.interp(WAVELENGTH_NM, table.wavelengths, table.values)
+    per_k = 1 / temperature_k
+    factors = (
+        (0.244063, 0.09911e3, 2.9678e6, -4.6070e9)
+        if temperature_k <= 7000
+        else (0.237040, 0.24748e3, 1.9018e6, -2.0064e9)
+    )
+    x = sum(factor * per_k**power for power, factor in enumerate(factors))
+    y = -3.000 * x**2 + 2.870 * x - 0.275
+    below = 0.0241 + 0.2562 * x - 0.7341 * y
+    # The CIE rounds both factors.
+    first = np.round((-1.3515 - 1.7703 * x + 5.9114 * y) / below, 3)
+    second = np.round((0.0300 - 31.4424 * x + 30.0717 * y) / below, 3)
+    table = tables.columns(_DAYLIGHT_TABLE)
+    return np.interp(WAVELENGTH_NM, table["wavelength_nm"], table["s0"] + first * table["s1"] + second * table["s2"])
 
 
 def _table(name: str) -> FloatArray:
-    """A table of the CIE (CIE 015:2018) from colour-science, beyond 780 nm the mean of its last 20 nm, [wavelength].
+    """A table of the CIE (CIE 015:2018), beyond 780 nm the mean of its last 20 nm, [wavelength].
 
     Three measured fluorescent lamps have 0.93 to 1.0 of that mean up to 830 nm, where their phosphors do not emit and
     the lines of argon are weak. The last value alone is not used because some tables round it to 0.
     """
-    import colour
-
-    table = colour.SDS_ILLUMINANTS[name]
-    level = np.mean(table.values[table.wavelengths >= _MEAN_FROM_NM])
-    return np.where(WAVELENGTH_NM > _TABLE_END_NM, level, np.interp(WAVELENGTH_NM, table.wavelengths, table.values))
+    table = tables.columns(_LAMP_TABLE)
+    wavelength_nm, values = table["wavelength_nm"], table[name]
+    level = np.mean(values[wavelength_nm >= _MEAN_FROM_NM])
+    return np.where(WAVELENGTH_NM > _TABLE_END_NM, level, np.interp(WAVELENGTH_NM, wavelength_nm, values))
 
 
 def _led(name: str) -> FloatArray:
@@ -212,7 +197,7 @@ def _energy_saving() -> FloatArray:
     """
     from scipy.optimize import brentq
 
-    warm, cold = (_one_lux(_table(f"FL{name[1:]}")) for name in _THREE_BAND)
+    warm, cold = (_one_lux(_table(name)) for name in _THREE_BAND)
 
     def lamp(share: float) -> FloatArray:
         argon = np.exp(-0.5 * ((WAVELENGTH_NM - _ARGON_NM) / _ARGON_SIGMA_NM) ** 2)
@@ -220,13 +205,4 @@ def _energy_saving() -> FloatArray:
         floor = _CONTINUUM_W_M2_NM * np.clip((WAVELENGTH_NM - 700.0) / 40.0, 0.0, 1.0)
         return (1 - share) * warm + share * cold + floor + argon
 
-    return lamp(brentq(lambda share: _cct_k(lamp(share)) - _THREE_BAND_CCT_K, 0.0, 1.0, xtol=1e-6))
-
-
-def _cct_k(power: FloatArray) -> float:
-    """Correlated colour temperature in kelvin by the method of Ohno (2013), from colour-science."""
-    import colour
-
-    observer: Any = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
-    xyz = [integrate(power * np.interp(WAVELENGTH_NM, observer.wavelengths, c)) for c in observer.values.T]
-    return float(colour.temperature.XYZ_to_CCT_Ohno2013(np.array(xyz))[0])
+    return lamp(brentq(lambda share: cct_k(lamp(share)) - _THREE_BAND_CCT_K, 0.0, 1.0, xtol=1e-6))

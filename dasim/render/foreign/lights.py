@@ -15,7 +15,7 @@ from dasim.render.foreign.notes import Notes, check_values, note_range
 from dasim.render.plugin import spectrum_dict
 from dasim.render.surrounding import Layer, surrounding_dict
 from dasim.scene.mitsuba_scene import MitsubaScene
-from dasim.spectra import illuminants
+from dasim.spectra import illuminants, observer
 from dasim.spectra.grid import LUMINANCE, WAVELENGTH_NM, integrate
 from dasim.typing import FloatArray
 
@@ -52,7 +52,7 @@ def replace_light_colours(nodes: Any, scene: MitsubaScene, to_camera: FloatArray
 def one_unit(name: str) -> FloatArray:
     """Spectrum of an illuminant with the luminance of a spectrum that is 1 everywhere, on ``WAVELENGTH_NM``."""
     power = illuminants.illuminant(name)
-    efficiency = illuminants.luminous_efficiency()
+    efficiency = observer.luminous_efficiency()
     return power * integrate(efficiency) / integrate(power * efficiency)
 
 

@@ -9,7 +9,7 @@ from scipy import constants
 
 from dasim import cli
 from dasim.base.errors import InputError
-from dasim.spectra import daylight, grid, illuminants
+from dasim.spectra import daylight, grid, illuminants, observer
 
 GRID_NM = grid.WAVELENGTH_NM
 RESAMPLING = 1e-3  # trapezoids of 2 nm against 1 nm, and V(lambda) below 400 nm (4e-4 of its peak)
@@ -63,7 +63,7 @@ def test_illuminant_a_is_the_cie_table_and_planck_beyond_it():
 
 def test_blackbody_obeys_wien():
     """Expectation: the peak of a 5,000 K blackbody lies at b / T = 579.6 nm, to within a step of the grid."""
-    peak = GRID_NM[np.argmax(illuminants.planckian(5000.0))]
+    peak = GRID_NM[np.argmax(observer.planckian(5000.0))]
     assert abs(peak - constants.value("Wien wavelength displacement law constant") / 5000 * 1e9) <= 2.0
 
 

@@ -12,7 +12,7 @@ import pytest
 
 import dasim
 from dasim.base.errors import InputError
-from dasim.spectra import illuminants
+from dasim.spectra import illuminants, observer
 from dasim.spectra.grid import WAVELENGTH_NM, integrate
 from tests.support.foreign_scenes import ASLANT, wall
 
@@ -40,7 +40,7 @@ def test_light_and_grey_are_those_of_the_same_scene_in_toml(xml, make_scene, loa
     rates = [
         passes.pinhole_pass(s, wide(16, 12), passes.Sampling(64, 0)).mean(axis=(0, 1)) for s in (foreign, loaded(ours))
     ]
-    cd_m2 = 2 * illuminants.MAX_LUMINOUS_EFFICACY_LM_W * integrate(illuminants.luminous_efficiency())
+    cd_m2 = 2 * illuminants.MAX_LUMINOUS_EFFICACY_LM_W * integrate(observer.luminous_efficiency())
     np.testing.assert_allclose(rates[0] / rates[1], cd_m2 / (500 / np.pi), rtol=LEVEL_LIMIT)
 
 
