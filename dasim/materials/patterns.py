@@ -190,7 +190,7 @@ def pattern(name: str) -> Float32Array:
     return _image(kind, number)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=6)  # of one scene: they take 4 MB each
 def _image(kind: str, number: int) -> Float32Array:
     image = np.ascontiguousarray(PATTERNS[kind].make(number), np.float32)
     image.setflags(write=False)

@@ -43,6 +43,7 @@ from dasim.camera.specification import Camera
 from dasim.render import one_surface
 from dasim.render.frozen import HOST_ONLY
 from dasim.render.plugin import aligned, aligned_zeros, texture
+from dasim.render.wavelengths import BANDS
 from dasim.typing import Float32Array, FloatArray
 
 CELLS, FEWER_CELLS = 4, 2  # nodes of s per pixel, along each axis, even; fewer in large frames
@@ -57,6 +58,10 @@ RADIUS_STEP = 0.1  # step of the table of K, relative to the spacing of the grid
 # bias.
 MOST_BLUR_PX = 150.0
 STRIP_PX = 256  # rows that are blurred at once, which bounds the memory
+MOST_RATIO = 6e4  # of a node: half precision ends at 65,504
+TEXTURE_BANDS = 4  # of the texture, which ``BANDS`` do not fill: Dr.Jit would store a copy with as many
+LOST_BITS = 13  # of the mantissa, from single to half precision
+NOISE_SIDE = 128  # of the square of random numbers that round
 
 
 def _linear(neighbours: int = 6, highest: float = 0.8) -> FloatArray:
@@ -113,7 +118,8 @@ def wider(camera: Camera, margin_px: int) -> Camera:
 class Control:
     """The control variate of a stop."""
 
-    picture: Any  # texture of s, a channel per band; below it, means over a pixel, see :func:`_with_pixel_boxes`
+    # Texture of s in half precision, a channel per band; below it, means over a pixel, see :func:`_with_pixel_boxes`
+    picture: Any
     extent: Any  # size of the picture along x and y, pixels
     margin_px: Any
     cells: Any  # cells per pixel along each axis; s is read at their centres
@@ -148,7 +154,7 @@ class Control:
         at = dr.clip(at, node, self.extent - node)
         at.y += dr.select(whole, self.extent.y, 0.0)
         seen = self.picture.eval(at / mi.Point2f(self.extent.x, 2 * self.extent.y))
-        return list(seen), blur, dr.gather(mi.Float, self.reach_px, level)
+        return list(seen)[:BANDS], blur, dr.gather(mi.Float, self.reach_px, level)
 
     def cells_at(self, pixel: Any) -> Any:
         """Cells per pixel and axis at pixels of the frame."""
@@ -201,15 +207,17 @@ def control(
     table = np.concatenate([kernels(levels, radius) for kernels in kinds], axis=-1)
     table *= (radius <= reach[:, None])[..., None, None]
     shift = np.multiply.outer(levels / 2, centre)
+    picture = _with_pixel_boxes(fine)
+    bands = np.moveaxis(picture[: len(fine.ratio), :, : fine.ratio.shape[-1]], -1, 0)
     expected, *others = np.split(
-        _expected(fine, level.reshape(blur_px.shape), table, reach, shift, points), len(kinds), axis=-1
+        _expected(fine, bands, level.reshape(blur_px.shape), table, reach, shift, points), len(kinds), axis=-1
     )
     height, width = (extent / fine.cells for extent in fine.ratio.shape[:2])
     one = np.zeros(blur_px.shape, bool)
     if fine.edge_px is not None:
         one = one_surface.seen(fine.edge_px, fine.margin_px, outer)
     return Control(
-        picture=texture(_with_pixel_boxes(fine)),
+        picture=texture(picture),
         extent=mi.Point2f(dr.opaque(mi.Float, width), dr.opaque(mi.Float, height)),
         margin_px=dr.opaque(mi.Float, fine.margin_px),
         cells=dr.opaque(mi.Float, fine.cells),
@@ -243,6 +251,7 @@ def _blur_of(number: NDArray[np.int64]) -> FloatArray:
 
 def _expected(
     fine: Fine,
+    bands: NDArray[np.floating],
     level: NDArray[np.intp],
     table: FloatArray,
     reach: FloatArray,
@@ -256,7 +265,8 @@ def _expected(
     where blur is large.
 
     Args:
-        fine: s.
+        fine: cells and margin of s.
+        bands: s as the rays read it, [band, y, x].
         level: of each pixel, [h, w].
         table: K at radii of steps of ``RADIUS_STEP`` / ``points``, [level, radius, band, channel].
         reach: of each level, pixels.
@@ -266,7 +276,7 @@ def _expected(
     most = int(np.ceil(reach.max() + np.abs(shift).max())) + 2
     spare = max(0, most - fine.margin_px)  # the picture continues with its border values, as the texture does
     around = fine.margin_px + spare
-    means = [_pixel_means(fine.ratio[..., band], fine.cells, spare, points) for band in range(fine.ratio.shape[-1])]
+    means = [_pixel_means(band.astype(np.float32), fine.cells, spare, points) for band in bands]
     result = np.zeros((*level.shape, table.shape[-1]), np.float32)
     for number in range(len(table)):
         here = level == number
@@ -328,19 +338,34 @@ def _pixel_means(picture: NDArray[np.float32], cells: int, spare_px: int, points
     return means
 
 
-def _with_pixel_boxes(fine: Fine) -> Float32Array:
+def _with_pixel_boxes(fine: Fine) -> NDArray[np.float16]:
     """s, and below it the means of s over squares as wide as a pixel, at the upper left corners of the nodes,
-    [y, x, band].
+    [y, x, band], with a fourth band of zeros.
 
     Between the corners they are linear, as s is between its nodes. Read at the centre of a pixel, they are therefore
     the mean of s over the pixel's cells, for every shift, and both have the same F.
+
+    They are rounded to half precision: the textures of all stops are the largest arrays of a capture. F is made of s as
+    rounded; the means are rounded up or down at random, so that those of a smooth picture have no bias.
     """
     size, middle = (fine.cells, fine.cells), (fine.cells // 2, fine.cells // 2)
-    height = len(fine.ratio)
-    picture = aligned_zeros((2 * height, *fine.ratio.shape[1:]))  # in place: it is the largest array of a capture
-    picture[:height] = fine.ratio
-    cv2.blur(picture[:height], size, dst=picture[height:], anchor=middle, borderType=cv2.BORDER_REPLICATE)
+    height, width, bands = fine.ratio.shape
+    picture = aligned_zeros((2 * height, width, TEXTURE_BANDS), np.float16)
+    for band in range(bands):  # apart: together they are as large as the picture
+        nodes = np.minimum(fine.ratio[..., band], MOST_RATIO).astype(np.float16)
+        boxes = cv2.blur(nodes.astype(np.float32), size, anchor=middle, borderType=cv2.BORDER_REPLICATE)
+        picture[:height, :, band], picture[height:, :, band] = nodes, _to_half(boxes)
     return picture
+
+
+def _to_half(values: Float32Array) -> NDArray[np.float16]:
+    """Values of at least 0, [y, x], in half precision, rounded up or down at random with the right expectation."""
+    height, width = values.shape
+    noise = np.random.default_rng(0).integers(1 << LOST_BITS, size=(NOISE_SIDE, NOISE_SIDE), dtype=np.uint32)
+    copies = -(-height // NOISE_SIDE), -(-width // NOISE_SIDE)
+    bits = values.view(np.uint32) + np.tile(noise, copies)[:height, :width]
+    bits &= np.uint32(~((1 << LOST_BITS) - 1) & 0xFFFFFFFF)
+    return bits.view(np.float32).astype(np.float16)
 
 
 def _sampled(profiles: FloatArray, half: int, shift: FloatArray, points: int) -> NDArray[np.float32]:

@@ -41,12 +41,12 @@ def instance(description: dict[str, Any]) -> Any:
 
 
 def aligned(values: np.ndarray) -> np.ndarray:
-    """An array, flat, as float32 (uint32 stays), at an address that is a multiple of 64 bytes: itself or a copy.
+    """An array, flat, as float32 (uint32 and float16 stay), at a multiple of 64 bytes: itself or a copy.
 
     The alignment of memory that numpy allocates varies, and Dr.Jit compiles different code for different alignments: a
     kernel that was compiled for one picture might not be reused for the next.
     """
-    kind = np.uint32 if values.dtype == np.uint32 else np.float32
+    kind = values.dtype.type if values.dtype in (np.uint32, np.float16) else np.float32
     is_plain = values.dtype == kind and values.flags.c_contiguous and values.flags.writeable
     if is_plain and values.ctypes.data % _ALIGNMENT == 0:
         return values.reshape(-1)
@@ -56,17 +56,19 @@ def aligned(values: np.ndarray) -> np.ndarray:
 
 
 def aligned_zeros(shape: tuple[int, ...], kind: type = np.float32) -> np.ndarray:
-    """Zeros of four bytes each at such an address; on processors, textures of the array share its memory."""
-    size = int(np.prod(shape))
-    memory: np.ndarray = np.zeros(size + _ALIGNMENT // 4, kind)
-    start = -memory.ctypes.data % _ALIGNMENT // 4
+    """Zeros at such an address; on processors, textures of the array share its memory."""
+    size, item = int(np.prod(shape)), np.dtype(kind).itemsize
+    memory: np.ndarray = np.zeros(size + _ALIGNMENT // item, kind)
+    start = -memory.ctypes.data % _ALIGNMENT // item
     return memory[start : start + size].reshape(shape)
 
 
 def tensor(values: np.ndarray) -> Any:
-    """Mitsuba's float32 tensor of an array, at an aligned address."""
+    """Mitsuba's tensor of an array, float16 or else float32, at an aligned address."""
     import mitsuba as mi
 
+    if values.dtype == np.float16:
+        return mi.TensorXf16(mi.Float16(aligned(values)), values.shape)
     return mi.TensorXf(mi.Float(aligned(values)), values.shape)
 
 
@@ -77,10 +79,11 @@ def texture(values: np.ndarray, **modes: Any) -> Any:
     ``Texture`` in Dr.Jit), and bound the size of tables. On processors there are none.
 
     Args:
-        values: [..., channel].
+        values: [..., channel]; those of float16 are stored as such, and read in single precision.
         modes: ``filter_mode`` and ``wrap_mode`` of Dr.Jit's textures.
     """
     import mitsuba as mi
 
-    kinds = {1: mi.Texture1f, 2: mi.Texture2f, 3: mi.Texture3f}
+    is_half = values.dtype == np.float16
+    kinds = {1: mi.Texture1f, 2: mi.Texture2f16 if is_half else mi.Texture2f, 3: mi.Texture3f}
     return kinds[values.ndim - 1](tensor(values), use_accel=False, **modes)

@@ -164,7 +164,7 @@ def mesh_parts(item: Mesh, folder: Path) -> tuple[meshes.Part, ...]:
     return meshes.read(folder / item.file, item.unit_cm * 1e-2, mesh_place(item, folder))
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=16)
 def _procedural_mesh(file: str, unit_cm: float, name: str) -> tuple[meshes.Part, ...]:
     try:
         mesh = procedural(file.removeprefix(PREFIX))

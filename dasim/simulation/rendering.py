@@ -121,10 +121,10 @@ def lens_picture(
 
     Unless the control variates of ``sharp`` are needed ``again``, they are released.
     """
-    fields = sharp.field, irradiance(view, sampling, 1)
     if sampling.spp == "auto":
-        picture = _adaptive_picture(view, sharp, fields, sampling, exposure, progress)
+        picture = _adaptive_picture(view, sharp, sampling, exposure, progress)
     else:
+        fields = sharp.field, irradiance(view, sampling, 1)
         spp = np.full((len(view.camera.stops), 1, 1), sampling.spp)
         halves = _halves(view, sharp, fields, spp, sampling.seed, LENS, progress, again=again)
         rate, variance = _at_level(view, *halves)
@@ -274,7 +274,6 @@ def stop_picture(
 def _adaptive_picture(
     view: View,
     sharp: SharpPictures,
-    fields: tuple[Any, Any],
     sampling: Sampling,
     exposure: Exposure,
     progress: Progress,
@@ -282,12 +281,13 @@ def _adaptive_picture(
     """The lens picture with rendering noise below a share of the sensor's temporal noise by its data sheet."""
     camera = view.camera
 
-    of_pictures = {1: fields}  # irradiance of every second picture, by how fine it is
+    fields = {1: (sharp.field, irradiance(view, sampling, 1))}  # of every second picture, by how fine they are
 
     def picture(number: int, index: int, spp: NDArray[np.int64], finer: int) -> Picture:
-        if finer not in of_pictures:
-            of_pictures[finer] = irradiance(view, sampling, 2, finer=finer), irradiance(view, sampling, 3, finer=finer)
-        field, label, seed = of_pictures[finer][index % 2], f", picture {index + 1}", picture_seed(sampling.seed, index)
+        if finer not in fields:
+            fields.clear()  # coarser ones are not used again
+            fields[finer] = irradiance(view, sampling, 2, finer=finer), irradiance(view, sampling, 3, finer=finer)
+        field, label, seed = fields[finer][index % 2], f", picture {index + 1}", picture_seed(sampling.seed, index)
         own = spp[number]
         if view.variant.startswith("scalar"):  # as many everywhere, and at least one
             own = np.full_like(own, max(np.ceil(own.mean()), 1))

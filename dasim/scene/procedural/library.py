@@ -156,6 +156,6 @@ def procedural(name: str) -> Triangles:
     return _mesh_of(kind, seed)
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=16)  # of one scene: they take up to 8 MB each
 def _mesh_of(kind: str, seed: int) -> Triangles:
     return MESHES[kind](seed)

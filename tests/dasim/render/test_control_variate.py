@@ -89,7 +89,8 @@ def test_the_mean_is_exact_where_blur_is_large_and_its_edge_sharp(jit, picture):
 def test_a_whole_pixel_reads_the_mean_of_its_cells(jit, picture):
     """Rationale: a pixel that is a single cell has the same F as one of many cells.
 
-    Expectation: at any shift, what it reads is the mean of what the 16 cells of the pixel read.
+    Set-up: 4,000 places and shifts. Expectation: what the pixel reads is the mean of what its 16 cells read there: each
+    time to a step of half precision below 1, and in the mean to 2e-5.
     """
     import mitsuba as mi
 
@@ -102,15 +103,33 @@ def test_a_whole_pixel_reads_the_mean_of_its_cells(jit, picture):
         for fine in (picture, without)
     )
     np.testing.assert_array_equal(of_cells.expected, whole.expected)
-    pixel, shift = 4 * SIZE[1] + 5, (0.37, -1.22)
+    count = 4000
+    random = np.random.default_rng(0)
+    row, column = random.integers(SIZE[0], size=count), random.integers(SIZE[1], size=count)
+    shift = mi.Point2f(*random.uniform(-3, 3, (2, count)).astype(np.float32))
 
     def read(control, x, y):
-        seen = control.at(mi.UInt32(pixel), mi.Point2f(float(5 + x), float(4 + y)), mi.Point2f(*shift))[0]
-        return np.array([value[0] for value in seen])
+        place = mi.Point2f((column + x).astype(np.float32), (row + y).astype(np.float32))
+        seen = control.at(mi.UInt32((row * SIZE[1] + column).astype(np.uint32)), place, shift)[0]
+        return np.array([np.array(value) for value in seen])[:2]
 
     middles = (np.arange(4) + 0.5) / 4
-    mean = np.mean([read(of_cells, x, y) for x in middles for y in middles], axis=0)
-    np.testing.assert_allclose(read(whole, 0.1, 0.8), mean, rtol=1e-5)
+    expected = np.mean([read(of_cells, x, y) for x in middles for y in middles], axis=0)
+    found = read(whole, *random.uniform(0, 1, (2, count)))
+    np.testing.assert_allclose(found, expected, atol=2.0**-11)
+    np.testing.assert_allclose(found.mean(axis=1), expected.mean(axis=1), rtol=2e-5)
+
+
+def test_half_precision_keeps_the_mean():
+    """Rationale: nodes of an even surface differ by less than a step of half precision, and would all round one way.
+
+    Expectation: values between two steps are one or the other, and their mean is the value.
+    """
+    for value in (0.3 + 1e-5, 0.7 + 3e-4, 5e3 + 1.3, 2e-3):
+        found = control_variate._to_half(np.full((300, 500), value, np.float32)).astype(float)
+        step = np.spacing(np.float16(value)).astype(float)
+        assert np.abs(found - value).max() <= step
+        assert found.mean() == pytest.approx(value, abs=4 * step / np.sqrt(128**2 * 4))
 
 
 def test_rounding_does_not_carry_light_from_bright_places_to_dark_ones(jit):

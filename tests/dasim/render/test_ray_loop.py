@@ -43,9 +43,9 @@ DRJIT = """abs all any arange atan block_sum brev clip cos dispatch dot eval flo
 make_opaque maximum minimum norm normalize opaque pi rcp reinterpret_array round rsqrt safe_acos safe_asin safe_sqrt
 select sin sincos sqrt squared_norm while_loop width zeros FilterMode WrapMode""".split()
 MITSUBA = """BSDFContext BSDFFlags Bool DirectionSample3f DiscreteDistribution DiscreteDistribution2D Emitter
-EmitterFlags EmitterPtr Float Frame3f Normal3f PCG32 Point1f Point2f Point3f Ray3f RayDifferential3f RayFlags Spectrum
-SurfaceInteraction3f TensorXf Texture Texture1f Texture2f Texture3f UInt32 UInt64 Vector3f has_flag sample_tea_32
-warp""".split()
+EmitterFlags EmitterPtr Float Float16 Frame3f Normal3f PCG32 Point1f Point2f Point3f Ray3f RayDifferential3f RayFlags
+Spectrum SurfaceInteraction3f TensorXf TensorXf16 Texture Texture1f Texture2f Texture2f16 Texture3f UInt32 UInt64
+Vector3f has_flag sample_tea_32 warp""".split()
 # What prepares scenes and tables, on the host in every variant.
 PREPARATION = """Bitmap ObjectType Properties ScalarBoundingBox3f ScalarTransform4f Struct TraversalCallback load_dict
 register_emitter register_texture traverse variant""".split()
