@@ -42,6 +42,7 @@ from dasim.camera.sensor import principal_point
 from dasim.camera.specification import Camera
 from dasim.render import one_surface
 from dasim.render.frozen import HOST_ONLY
+from dasim.render.host_threads import in_threads
 from dasim.render.plugin import aligned, aligned_zeros, texture
 from dasim.render.wavelengths import BANDS
 from dasim.typing import Float32Array, FloatArray
@@ -276,9 +277,10 @@ def _expected(
     most = int(np.ceil(reach.max() + np.abs(shift).max())) + 2
     spare = max(0, most - fine.margin_px)  # the picture continues with its border values, as the texture does
     around = fine.margin_px + spare
-    means = [_pixel_means(band.astype(np.float32), fine.cells, spare, points) for band in bands]
+    means = in_threads(lambda band: _pixel_means(band.astype(np.float32), fine.cells, spare, points), bands)
     result = np.zeros((*level.shape, table.shape[-1]), np.float32)
-    for number in range(len(table)):
+
+    def add(number: int) -> None:
         here = level == number
         rows, columns = (np.flatnonzero(here.any(axis=axis)) for axis in (1, 0))
         left, right = columns[0], columns[-1] + 1
@@ -293,6 +295,8 @@ def _expected(
             ]
             blurred = _blurred([mean[part] for mean in means], kernels)
             result[top:bottom, left:right][inside] = blurred[:, ::points, ::points][:, inside].T
+
+    in_threads(add, range(len(table)))
     return result.reshape(-1, result.shape[-1])
 
 
@@ -351,10 +355,13 @@ def _with_pixel_boxes(fine: Fine) -> NDArray[np.float16]:
     size, middle = (fine.cells, fine.cells), (fine.cells // 2, fine.cells // 2)
     height, width, bands = fine.ratio.shape
     picture = aligned_zeros((2 * height, width, TEXTURE_BANDS), np.float16)
-    for band in range(bands):  # apart: together they are as large as the picture
+
+    def fill(band: int) -> None:  # apart: together they are as large as the picture
         nodes = np.minimum(fine.ratio[..., band], MOST_RATIO).astype(np.float16)
         boxes = cv2.blur(nodes.astype(np.float32), size, anchor=middle, borderType=cv2.BORDER_REPLICATE)
         picture[:height, :, band], picture[height:, :, band] = nodes, _to_half(boxes)
+
+    in_threads(fill, range(bands))
     return picture
 
 
@@ -396,13 +403,17 @@ def convolved(fine: Fine, kernels: NDArray[np.float32], points: int) -> NDArray[
     half = kernels.shape[-1] // 2
     spare = max(0, half // points + 2 - fine.margin_px)  # the picture goes on as at its border
     around = fine.margin_px + spare
-    means = [_pixel_means(fine.ratio[..., band], fine.cells, spare, points) for band in range(fine.ratio.shape[-1])]
+    bands = np.moveaxis(fine.ratio, -1, 0)
+    means = in_threads(lambda band: _pixel_means(band, fine.cells, spare, points), bands)
     height, width = (extent // fine.cells - 2 * fine.margin_px for extent in fine.ratio.shape[:2])
     result = np.empty((height, width, kernels.shape[1]), np.float32)
     columns = slice(around * points - half, (width - 1 + around) * points + half + 1)
-    for top in range(0, height, STRIP_PX):
+
+    def fill(top: int) -> None:
         bottom = min(top + STRIP_PX, height)
         rows = slice((top + around) * points - half, (bottom - 1 + around) * points + half + 1)
         blurred = _blurred([mean[rows, columns] for mean in means], kernels)
         result[top:bottom] = np.moveaxis(blurred[:, ::points, ::points], 0, -1)
+
+    in_threads(fill, range(0, height, STRIP_PX))
     return result

@@ -20,6 +20,7 @@ Tested in tests/dasim/render/test_focus_pictures.py.
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 
 import numpy as np
@@ -124,6 +125,7 @@ class InFocus:
         size = camera.sensor.height_px, camera.sensor.width_px
         self._sums = np.zeros((len(self._cores), len(channels(camera.sensor)), 2, *size), np.float32)
         self._kernels: tuple[Tile | None, Float32Array] = None, np.zeros((), np.float32)
+        self._lock = threading.Lock()
 
     @property
     def stops(self) -> list[Stop]:
@@ -151,12 +153,13 @@ class InFocus:
 
     def _of_tile(self, tile: Tile) -> Float32Array:
         """The weights of the nodes for all channels, see :meth:`_Core.nodes`."""
-        if self._kernels[0] != tile:
-            rows, columns = tile
-            middle = np.array([columns.start + columns.stop, rows.start + rows.stop]) / 2 - self._margin_px
-            towards_axis = _towards_axis(self._camera, middle)
-            self._kernels = tile, np.concatenate([core.nodes(towards_axis) for core in self._cores.values()])
-        return self._kernels[1]
+        with self._lock:  # channels come from several threads
+            if self._kernels[0] != tile:
+                rows, columns = tile
+                middle = np.array([columns.start + columns.stop, rows.start + rows.stop]) / 2 - self._margin_px
+                towards_axis = _towards_axis(self._camera, middle)
+                self._kernels = tile, np.concatenate([core.nodes(towards_axis) for core in self._cores.values()])
+            return self._kernels[1]
 
     def pictures(self, field: Field | None, fine: dict[str, Fine]) -> dict[int, Float32Array]:
         """The pictures by the stops' numbers, [h, w, channel] mean electrons per second, before the falloff of relative

@@ -23,6 +23,7 @@ from dasim.camera.rings import at_pixels
 from dasim.camera.specification import Camera
 from dasim.render import backend, plugin
 from dasim.render.frozen import frozen
+from dasim.render.host_threads import in_threads
 from dasim.render.irradiance import Field
 from dasim.render.plugin import aligned
 from dasim.render.ray_batches import Batch, Sampling, block_of
@@ -176,10 +177,13 @@ def without_dither(picture: NDArray[np.float32], cells: int, shift: int, border_
     inner = picture[border_px * cells :, border_px * cells :][: height * cells, : width * cells]
     nodes = picture.reshape(-1, picture.shape[-1])
     mean = _around(inner.reshape(height, cells, width, cells, -1).mean(axis=(1, 3)))
-    for order in range(orders):
+
+    def subtract(order: int) -> None:
         place = first + np.roll(within, -order)[shifted]
         own = nodes[place]
         nodes[place] = own - (_around(own) - mean)
+
+    in_threads(subtract, range(orders))
 
 
 def _around(image: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -238,7 +242,8 @@ def _node_sums(
 ) -> list[Float32Array]:
     """Trace ``spp`` rays for each of some pixels, [h, w]; their halves in some channels, see :class:`NodeLight`.
 
-    ``keep`` gets the channels one by one: the light of a tile together would take 100 MB.
+    ``keep`` gets each channel apart, and several of them at once from as many threads: the light of a tile together
+    would take 100 MB.
     """
     rays = spp // NODES
     values, offset = trace(block_of(pixels.ravel(), np.full(pixels.size, spp), seed).batch, rays)
@@ -250,19 +255,20 @@ def _node_sums(
     # Each half of the rays has some of all nodes, and evenly spread wavelengths.
     odd = (_dispersed() % 2).astype(np.float32)
     even = 1 - odd
-    found = []
-    for channel in channels:
+    read = [np.array(value) for value in values[2 * channels.start : 2 * channels.stop]]
+
+    def sums(channel: int) -> Float32Array:
         pair, halves = [], []
-        for value in values[2 * channel : 2 * channel + 2]:
-            of_rays = np.array(value)
+        for of_rays in read[2 * channel : 2 * channel + 2]:
             first, second = (_sum(part) for part in np.split(by_ray(of_rays), [rays // 2]))
             halves.append([first @ even + second @ odd, first @ odd + second @ even])
             moments = [_sum(by_ray(of_rays * along)) for along in places if channel in with_moments]
             pair.append([first + second, *moments])
         light = NodeLight(pair[0], pair[1], np.array(halves))
         keep(channel, light)
-        found.append(light.halves)
-    return found
+        return light.halves
+
+    return in_threads(sums, channels)
 
 
 def _sum(parts: NDArray[np.float32]) -> Float32Array:

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from dasim.render.host_threads import in_threads
 from dasim.typing import Float32Array, FloatArray
 
 # A difference of two pictures has one degree of freedom per pixel, and nearby pixels have similar noise, so squares are
@@ -90,8 +91,11 @@ def no_pairs(like: Picture, stops: int = 1) -> Sums:
 
 def add(sums: Sums, first: Picture, second: Picture) -> None:
     """Add a pair to the sums, in place."""
-    for part in _parts(sums.rate.shape):
+
+    def add_part(part: _Strip) -> None:
         _add(_part_of_sums(sums, part.own), _part(first, part.own), _part(second, part.own))
+
+    in_threads(add_part, _parts(sums.rate.shape))
     np.add(sums.spp, first.spp + second.spp, out=sums.spp)
 
 
@@ -103,18 +107,24 @@ def measured(sums: Sums) -> Measured:
     It is averaged by ``WEIGHTS``.
     """
     rate, variance, beside = (np.empty(sums.rate.shape, np.float32) for _ in range(3))
-    for part in _parts(sums.rate.shape, WINDOW_PX - 1):  # a window of windows
+
+    def measure(part: _Strip) -> None:
         found = _measured(_part_of_sums(sums, part.wider))
         for whole, values in zip((rate, variance, beside), found, strict=True):
             whole[part.own] = values[:, part.inner]
+
+    in_threads(measure, _parts(sums.rate.shape, WINDOW_PX - 1))  # a window of windows
     return Measured(rate, variance, beside, sums.spp.copy())
 
 
 def rates(sums: Sums) -> Float32Array:
     """``rate`` of :func:`measured` alone."""
     rate = np.empty(sums.rate.shape, np.float32)
-    for part in _parts(rate.shape, WINDOW_PX // 2):
+
+    def fill(part: _Strip) -> None:
         rate[part.own] = _mean_and_left(_part_of_sums(sums, part.wider))[0][:, part.inner]
+
+    in_threads(fill, _parts(rate.shape, WINDOW_PX // 2))
     return rate
 
 
@@ -129,12 +139,15 @@ def of_sum(sums: Sums, kept: Sequence[float] | None = None) -> tuple[Float32Arra
     """
     stops, height, width, channels = sums.rate.shape
     variance, shared = np.empty((2, height, width, channels), np.float32)
-    for channel in range(channels):
+
+    def fill(channel: int) -> None:
         left = np.zeros((height, width))
         for stop in range(stops):
             at = slice(stop, stop + 1), slice(None), slice(None), slice(channel, channel + 1)
             left += _mean_and_left(_part_of_sums(sums, at))[1][0, ..., 0] * (1.0 if kept is None else kept[stop])
         variance[..., channel], shared[..., channel] = _variances(left)
+
+    in_threads(fill, range(channels))
     return variance, shared
 
 
@@ -159,13 +172,16 @@ def mean_and_left(first: Picture, second: Picture) -> tuple[Float32Array, Float3
     """``rate`` of :func:`measured`, of one pair, and the differences whose squares are its variance."""
     shape = np.broadcast_shapes(first.rate.shape, (*first.spp.shape, 1))
     rate, left = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    for part in _parts(shape, WINDOW_PX // 2):
+
+    def fill(part: _Strip) -> None:
         a, b = _part(first, part.wider), _part(second, part.wider)
         sums = no_pairs(a)
         _add(sums, a, b)
         found = _mean_and_left(sums._replace(spp=a.spp + b.spp))
         for whole, values in zip((rate, left), found, strict=True):
             whole[part.own] = values[:, part.inner]
+
+    in_threads(fill, _parts(shape, WINDOW_PX // 2))
     return rate, left
 
 
