@@ -59,7 +59,7 @@ RADIUS_STEP = 0.1  # step of the table of K, relative to the spacing of the grid
 # bias.
 MOST_BLUR_PX = 150.0
 STRIP_PX = 256  # rows that are blurred at once, which bounds the memory
-MOST_RATIO = 6e4  # of a node: half precision ends at 65,504
+MOST_HALF = 6e4  # of a node over the scale: half precision ends at 65,504
 TEXTURE_BANDS = 4  # of the texture, which ``BANDS`` do not fill: Dr.Jit would store a copy with as many
 LOST_BITS = 13  # of the mantissa, from single to half precision
 NOISE_SIDE = 128  # of the square of random numbers that round
@@ -119,8 +119,10 @@ def wider(camera: Camera, margin_px: int) -> Camera:
 class Control:
     """The control variate of a stop."""
 
-    # Texture of s in half precision, a channel per band; below it, means over a pixel, see :func:`_with_pixel_boxes`
+    # Texture of s over ``scale`` in half precision, a channel per band; below it, means over a pixel, see
+    # :func:`_with_pixel_boxes`
     picture: Any
+    scale: Any
     extent: Any  # size of the picture along x and y, pixels
     margin_px: Any
     cells: Any  # cells per pixel along each axis; s is read at their centres
@@ -155,7 +157,7 @@ class Control:
         at = dr.clip(at, node, self.extent - node)
         at.y += dr.select(whole, self.extent.y, 0.0)
         seen = self.picture.eval(at / mi.Point2f(self.extent.x, 2 * self.extent.y))
-        return list(seen)[:BANDS], blur, dr.gather(mi.Float, self.reach_px, level)
+        return [value * self.scale for value in list(seen)[:BANDS]], blur, dr.gather(mi.Float, self.reach_px, level)
 
     def cells_at(self, pixel: Any) -> Any:
         """Cells per pixel and axis at pixels of the frame."""
@@ -208,10 +210,10 @@ def control(
     table = np.concatenate([kernels(levels, radius) for kernels in kinds], axis=-1)
     table *= (radius <= reach[:, None])[..., None, None]
     shift = np.multiply.outer(levels / 2, centre)
-    picture = _with_pixel_boxes(fine)
+    picture, scale = _with_pixel_boxes(fine)
     bands = np.moveaxis(picture[: len(fine.ratio), :, : fine.ratio.shape[-1]], -1, 0)
     expected, *others = np.split(
-        _expected(fine, bands, level.reshape(blur_px.shape), table, reach, shift, points), len(kinds), axis=-1
+        _expected(fine, bands, scale, level.reshape(blur_px.shape), table, reach, shift, points), len(kinds), axis=-1
     )
     height, width = (extent / fine.cells for extent in fine.ratio.shape[:2])
     one = np.zeros(blur_px.shape, bool)
@@ -219,6 +221,7 @@ def control(
         one = one_surface.seen(fine.edge_px, fine.margin_px, outer)
     return Control(
         picture=texture(picture),
+        scale=dr.opaque(mi.Float, scale),
         extent=mi.Point2f(dr.opaque(mi.Float, width), dr.opaque(mi.Float, height)),
         margin_px=dr.opaque(mi.Float, fine.margin_px),
         cells=dr.opaque(mi.Float, fine.cells),
@@ -253,6 +256,7 @@ def _blur_of(number: NDArray[np.int64]) -> FloatArray:
 def _expected(
     fine: Fine,
     bands: NDArray[np.floating],
+    scale: float,
     level: NDArray[np.intp],
     table: FloatArray,
     reach: FloatArray,
@@ -267,7 +271,8 @@ def _expected(
 
     Args:
         fine: cells and margin of s.
-        bands: s as the rays read it, [band, y, x].
+        bands: s over ``scale``, as the rays read it, [band, y, x].
+        scale: of ``bands``.
         level: of each pixel, [h, w].
         table: K at radii of steps of ``RADIUS_STEP`` / ``points``, [level, radius, band, channel].
         reach: of each level, pixels.
@@ -277,7 +282,11 @@ def _expected(
     most = int(np.ceil(reach.max() + np.abs(shift).max())) + 2
     spare = max(0, most - fine.margin_px)  # the picture continues with its border values, as the texture does
     around = fine.margin_px + spare
-    means = in_threads(lambda band: _pixel_means(band.astype(np.float32), fine.cells, spare, points), bands)
+
+    def pixel_means(band: NDArray[np.floating]) -> NDArray[np.float32]:
+        return _pixel_means(band.astype(np.float32) * np.float32(scale), fine.cells, spare, points)
+
+    means = in_threads(pixel_means, bands)
     result = np.zeros((*level.shape, table.shape[-1]), np.float32)
 
     def add(number: int) -> None:
@@ -342,9 +351,9 @@ def _pixel_means(picture: NDArray[np.float32], cells: int, spare_px: int, points
     return means
 
 
-def _with_pixel_boxes(fine: Fine) -> NDArray[np.float16]:
+def _with_pixel_boxes(fine: Fine) -> tuple[NDArray[np.float16], float]:
     """s, and below it the means of s over squares as wide as a pixel, at the upper left corners of the nodes,
-    [y, x, band], with a fourth band of zeros.
+    [y, x, band], with a fourth band of zeros; both over the second value, a power of two.
 
     Between the corners they are linear, as s is between its nodes. Read at the centre of a pixel, they are therefore
     the mean of s over the pixel's cells, for every shift, and both have the same F.
@@ -354,25 +363,31 @@ def _with_pixel_boxes(fine: Fine) -> NDArray[np.float16]:
     """
     size, middle = (fine.cells, fine.cells), (fine.cells // 2, fine.cells // 2)
     height, width, bands = fine.ratio.shape
+    largest = max(float(np.abs(fine.ratio[..., band]).max()) for band in range(bands))
+    scale = float(2 ** np.ceil(np.log2(max(largest / MOST_HALF, 1.0))))
     picture = aligned_zeros((2 * height, width, TEXTURE_BANDS), np.float16)
 
     def fill(band: int) -> None:  # apart: together they are as large as the picture
-        nodes = np.minimum(fine.ratio[..., band], MOST_RATIO).astype(np.float16)
+        nodes = (fine.ratio[..., band] / np.float32(scale)).astype(np.float16)
         boxes = cv2.blur(nodes.astype(np.float32), size, anchor=middle, borderType=cv2.BORDER_REPLICATE)
         picture[:height, :, band], picture[height:, :, band] = nodes, _to_half(boxes)
 
     in_threads(fill, range(bands))
-    return picture
+    return picture, scale
 
 
 def _to_half(values: Float32Array) -> NDArray[np.float16]:
-    """Values of at least 0, [y, x], in half precision, rounded up or down at random with the right expectation."""
+    """Values [y, x] in half precision, rounded up or down at random with the right expectation."""
     height, width = values.shape
     noise = np.random.default_rng(0).integers(1 << LOST_BITS, size=(NOISE_SIDE, NOISE_SIDE), dtype=np.uint32)
-    copies = -(-height // NOISE_SIDE), -(-width // NOISE_SIDE)
-    bits = values.view(np.uint32) + np.tile(noise, copies)[:height, :width]
+    noise = np.tile(noise, (-(-height // NOISE_SIDE), -(-width // NOISE_SIDE)))[:height, :width]
+    bits = values.view(np.uint32) + noise
     bits &= np.uint32(~((1 << LOST_BITS) - 1) & 0xFFFFFFFF)
-    return bits.view(np.float32).astype(np.float16)
+    result = bits.view(np.float32).astype(np.float16)
+    small = (np.abs(values) < np.finfo(np.float16).smallest_normal) & (values != 0)  # of even steps
+    step = np.float32(np.finfo(np.float16).smallest_subnormal)
+    result[small] = np.floor(values[small] / step + noise[small] / np.float32(1 << LOST_BITS)) * step
+    return result
 
 
 def _sampled(profiles: FloatArray, half: int, shift: FloatArray, points: int) -> NDArray[np.float32]:

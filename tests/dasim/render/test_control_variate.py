@@ -125,9 +125,9 @@ def test_half_precision_keeps_the_mean():
 
     Expectation: values between two steps are one or the other, and their mean is the value.
     """
-    for value in (0.3 + 1e-5, 0.7 + 3e-4, 5e3 + 1.3, 2e-3):
+    for value in (0.3 + 1e-5, 0.7 + 3e-4, -0.7 - 3e-4, 5e3 + 1.3, 2e-3, 1e-5 + 2e-8, 1e-8, -1e-8, 0.0):
         found = control_variate._to_half(np.full((300, 500), value, np.float32)).astype(float)
-        step = np.spacing(np.float16(value)).astype(float)
+        step = abs(np.spacing(np.float16(value)).astype(float))
         assert np.abs(found - value).max() <= step
         assert found.mean() == pytest.approx(value, abs=4 * step / np.sqrt(128**2 * 4))
 
@@ -148,6 +148,37 @@ def test_rounding_does_not_carry_light_from_bright_places_to_dark_ones(jit):
         for values in (flat, lamp)
     )
     np.testing.assert_allclose(beside, alone, rtol=1e-6)
+
+
+def test_lamps_in_view_are_within_half_precision(jit):
+    """Set-up: a surface of 1, a dark one of 1e-3 and a lamp of 4e7, 600 times the largest number of half precision.
+
+    Expectation: pixels read what the picture has, to a step of half precision, and in the mean what F is made of, also
+    where the dark surface is some steps of the smallest number.
+    """
+    import mitsuba as mi
+
+    ratio = np.ones((4 * 52, 4 * 52, 3), np.float32)
+    ratio[:, :100] = 1e-3
+    ratio[100:104, 180:184] = 4e7
+    made = control_variate.control(
+        Fine(4, ratio, 6, np.full((52, 52), -1.0, np.float32)),
+        np.zeros((40, 40)),
+        1.0,
+        (0.0, 0.0),
+        1.0,
+        lambda levels, radius: np.ones((len(levels), len(radius), 3, 3)),
+    )
+    row, column = (each.ravel() for each in np.mgrid[:40, :40])
+    place = mi.Point2f(*(np.stack([column, row]) + 0.5).astype(np.float32))
+    seen = made.at(mi.UInt32((row * 40 + column).astype(np.uint32)), place, mi.Point2f(0.0))[0]
+    found = np.array(seen[0]).reshape(40, 40)
+    assert found.max() == pytest.approx(4e7, rel=1e-3)
+    assert found[:, 22:].min() == pytest.approx(1.0, rel=1e-3)
+    expected = made.expected.reshape(40, 40, 3)[..., 0]
+    assert expected[:, :16] == pytest.approx(1e-3, rel=0.03)
+    assert found[:, :16].mean() == pytest.approx(float(expected[:, :16].mean()), rel=1e-4)
+    assert found[:, 22:30].mean() == pytest.approx(float(expected[:, 22:30].mean()), rel=1e-4)
 
 
 def _read(picture, x, y, channel, kernel):
