@@ -30,6 +30,7 @@ from dasim.render.plugin import aligned
 from dasim.typing import Float32Array, FloatArray
 
 POINTS = 2  # rays per pixel and axis
+STRIP_PX = 128  # rows at once, which bounds the memory
 MOST_BEND = 0.05  # largest second difference of u/z and v/z between neighbouring rays, relative to the first difference
 MOST_STEP = 1e-5  # largest second difference of 1/z, relative to 1/z
 TAIL_PX = 2.0  # how far rays end beyond the geometric blur: the core of the diffraction pattern, and half of a pixel
@@ -47,6 +48,17 @@ def edge_blur_px(scene: Any, camera: Camera, margin_px: int, field: Field | None
         (np.arange(POINTS * (side + 2 * margin_px)) + 0.5) / POINTS - margin_px
         for side in (body.width_px, body.height_px)
     )
+    height, parts = len(rows) // POINTS, []
+    for top in range(0, height, STRIP_PX):
+        bottom = min(top + STRIP_PX, height)
+        first, last = max(top - 1, 0), min(bottom + 1, height)  # with neighbours
+        part = _edges(scene, camera, rows[POINTS * first : POINTS * last], columns, field)
+        parts.append(part[top - first : bottom - first])
+    return np.concatenate(parts)
+
+
+def _edges(scene: Any, camera: Camera, rows: FloatArray, columns: FloatArray, field: Field | None) -> Float32Array:
+    """:func:`edge_blur_px` of the pixels of some rows and columns of rays."""
     vergence, u, v, edge, *kinds = _surfaces(scene, camera, rows, columns, field)
     for axis in (0, 1):
         inside = (slice(1, -1), slice(None)) if axis == 0 else (slice(None), slice(1, -1))

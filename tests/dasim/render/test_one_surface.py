@@ -45,6 +45,17 @@ def test_a_plane_is_one_surface(edges):
         assert (inside < 0).mean() > 0.99
 
 
+def test_strips_of_rows_leave_no_edges(edges, monkeypatch):
+    """Set-up: a wall with a slanted card before it, in strips of 5 rows and in one piece. Expectation: the same map."""
+    card = CARD | {"position_cm": (10, 5, 50), "rotation_deg": (20, 10, 30)}
+    maps = []
+    for rows in (5, 10_000):
+        monkeypatch.setattr(one_surface, "STRIP_PX", rows)
+        maps.append(edges(WALL, card, lights=[LAMP])[1])
+    np.testing.assert_array_equal(*maps)
+    assert 0.05 < (maps[0] >= 0).mean() < 0.8
+
+
 def test_a_step_of_a_millimetre_between_parallel_surfaces_is_an_edge(edges):
     """Expectation: at the card's border, with the blur of the wall's depth, and nowhere far from it."""
     card = CARD | {"position_cm": (30, 0, 59.9)}
