@@ -58,7 +58,7 @@ RADIUS_STEP = 0.1  # step of the table of K, relative to the spacing of the grid
 # Visible blur of the farthest level; kernels of more would take gigabytes, and F need not be exact for a mean without
 # bias.
 MOST_BLUR_PX = 150.0
-STRIP_PX = 256  # rows that are blurred at once, which bounds the memory
+MOST_ROWS, STRIP_AREA_PX = 256, 200_000  # of what is blurred at once, which bounds the memory
 MOST_HALF = 6e4  # of a node over the scale: half precision ends at 65,504
 TEXTURE_BANDS = 4  # of the texture, which ``BANDS`` do not fill: Dr.Jit would store a copy with as many
 LOST_BITS = 13  # of the mantissa, from single to half precision
@@ -295,8 +295,9 @@ def _expected(
         left, right = columns[0], columns[-1] + 1
         half = int(np.ceil((reach[number] + np.abs(shift[number]).max()) * points))
         kernels = _sampled(table[number], half, shift[number], points)
-        for top in range(rows[0], rows[-1] + 1, STRIP_PX):
-            bottom = min(top + STRIP_PX, rows[-1] + 1)
+        step = _strip_rows(right - left)
+        for top in range(rows[0], rows[-1] + 1, step):
+            bottom = min(top + step, rows[-1] + 1)
             inside = here[top:bottom, left:right]
             part = np.s_[
                 (top + around) * points - half : (bottom - 1 + around) * points + half + 1,
@@ -424,11 +425,18 @@ def convolved(fine: Fine, kernels: NDArray[np.float32], points: int) -> NDArray[
     result = np.empty((height, width, kernels.shape[1]), np.float32)
     columns = slice(around * points - half, (width - 1 + around) * points + half + 1)
 
+    step = _strip_rows(width)
+
     def fill(top: int) -> None:
-        bottom = min(top + STRIP_PX, height)
+        bottom = min(top + step, height)
         rows = slice((top + around) * points - half, (bottom - 1 + around) * points + half + 1)
         blurred = _blurred([mean[rows, columns] for mean in means], kernels)
         result[top:bottom] = np.moveaxis(blurred[:, ::points, ::points], 0, -1)
 
-    in_threads(fill, range(0, height, STRIP_PX))
+    in_threads(fill, range(0, height, step))
     return result
+
+
+def _strip_rows(width: int) -> int:
+    """Rows of a picture of ``width`` pixels that are blurred at once."""
+    return min(MOST_ROWS, -(-STRIP_AREA_PX // width))
