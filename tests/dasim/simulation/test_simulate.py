@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve
 
+import dasim
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera import noise
@@ -195,6 +196,19 @@ def test_rounding_does_not_depend_on_the_light_level(scene, da_mobile, renderer)
     for name in ("mean_e", "sharp_e", "focus_e"):
         ours, theirs = (getattr(truth, name).astype(float) for truth in (bright, dark))
         np.testing.assert_allclose(theirs, ours * factor, rtol=6e-7, err_msg=name)
+
+
+def test_a_point_of_light_is_rendered(jit):
+    """Rationale: the scene ``point`` has 4e7 times the radiance of a surface in its light, and black around it.
+
+    Expectation: finite numbers, and all but a tenth of the green light within 4 px of the middle of the frame. (The
+    scene needs many samples, and how much light there is takes more than these.)
+    """
+    scene = dasim.load_scene("point")
+    mean = dasim.simulate(scene, dasim.focused(dasim.cropped("da-mobile", 48, 32), scene), spp=8).truth.mean_e
+    assert np.isfinite(mean).all()
+    green = mean[..., 1]
+    assert green[12:20, 20:28].sum() > 0.9 * green.sum() > 0
 
 
 def test_camera_that_looks_at_nothing_is_refused(make_scene, da_mobile, lamp, renderer):
