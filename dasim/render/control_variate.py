@@ -33,7 +33,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
@@ -41,9 +40,10 @@ from scipy import fft
 from dasim.camera.sensor import principal_point
 from dasim.camera.specification import Camera
 from dasim.render import one_surface
+from dasim.render.control_picture import with_pixel_boxes
 from dasim.render.frozen import HOST_ONLY
 from dasim.render.host_threads import in_threads
-from dasim.render.plugin import aligned, aligned_zeros, texture
+from dasim.render.plugin import aligned, texture
 from dasim.render.wavelengths import BANDS
 from dasim.typing import Float32Array, FloatArray
 
@@ -59,10 +59,6 @@ RADIUS_STEP = 0.1  # step of the table of K, relative to the spacing of the grid
 # bias.
 MOST_BLUR_PX = 150.0
 MOST_ROWS, STRIP_AREA_PX = 256, 200_000  # of what is blurred at once, which bounds the memory
-MOST_HALF = 6e4  # of a node over the scale: half precision ends at 65,504
-TEXTURE_BANDS = 4  # of the texture, which ``BANDS`` do not fill: Dr.Jit would store a copy with as many
-LOST_BITS = 13  # of the mantissa, from single to half precision
-NOISE_SIDE = 128  # of the square of random numbers that round
 
 
 def _linear(neighbours: int = 6, highest: float = 0.8) -> FloatArray:
@@ -120,7 +116,7 @@ class Control:
     """The control variate of a stop."""
 
     # Texture of s over ``scale`` in half precision, a channel per band; below it, means over a pixel, see
-    # :func:`_with_pixel_boxes`
+    # :func:`control_picture.with_pixel_boxes`
     picture: Any
     scale: Any
     extent: Any  # size of the picture along x and y, pixels
@@ -210,7 +206,7 @@ def control(
     table = np.concatenate([kernels(levels, radius) for kernels in kinds], axis=-1)
     table *= (radius <= reach[:, None])[..., None, None]
     shift = np.multiply.outer(levels / 2, centre)
-    picture, scale = _with_pixel_boxes(fine)
+    picture, scale = with_pixel_boxes(fine.ratio, fine.cells)
     bands = np.moveaxis(picture[: len(fine.ratio), :, : fine.ratio.shape[-1]], -1, 0)
     expected, *others = np.split(
         _expected(fine, bands, scale, level.reshape(blur_px.shape), table, reach, shift, points), len(kinds), axis=-1
@@ -350,45 +346,6 @@ def _pixel_means(picture: NDArray[np.float32], cells: int, spare_px: int, points
             total += weight * part
         means = np.ascontiguousarray(total.T)
     return means
-
-
-def _with_pixel_boxes(fine: Fine) -> tuple[NDArray[np.float16], float]:
-    """s, and below it the means of s over squares as wide as a pixel, at the upper left corners of the nodes,
-    [y, x, band], with a fourth band of zeros; both over the second value, a power of two.
-
-    Between the corners they are linear, as s is between its nodes. Read at the centre of a pixel, they are therefore
-    the mean of s over the pixel's cells, for every shift, and both have the same F.
-
-    They are rounded to half precision: the textures of all stops are the largest arrays of a capture. F is made of s as
-    rounded; the means are rounded up or down at random, so that those of a smooth picture have no bias.
-    """
-    size, middle = (fine.cells, fine.cells), (fine.cells // 2, fine.cells // 2)
-    height, width, bands = fine.ratio.shape
-    largest = max(float(np.abs(fine.ratio[..., band]).max()) for band in range(bands))
-    scale = float(2 ** np.ceil(np.log2(max(largest / MOST_HALF, 1.0))))
-    picture = aligned_zeros((2 * height, width, TEXTURE_BANDS), np.float16)
-
-    def fill(band: int) -> None:  # apart: together they are as large as the picture
-        nodes = (fine.ratio[..., band] / np.float32(scale)).astype(np.float16)
-        boxes = cv2.blur(nodes.astype(np.float32), size, anchor=middle, borderType=cv2.BORDER_REPLICATE)
-        picture[:height, :, band], picture[height:, :, band] = nodes, _to_half(boxes)
-
-    in_threads(fill, range(bands))
-    return picture, scale
-
-
-def _to_half(values: Float32Array) -> NDArray[np.float16]:
-    """Values [y, x] in half precision, rounded up or down at random with the right expectation."""
-    height, width = values.shape
-    noise = np.random.default_rng(0).integers(1 << LOST_BITS, size=(NOISE_SIDE, NOISE_SIDE), dtype=np.uint32)
-    noise = np.tile(noise, (-(-height // NOISE_SIDE), -(-width // NOISE_SIDE)))[:height, :width]
-    bits = values.view(np.uint32) + noise
-    bits &= np.uint32(~((1 << LOST_BITS) - 1) & 0xFFFFFFFF)
-    result = bits.view(np.float32).astype(np.float16)
-    small = (np.abs(values) < np.finfo(np.float16).smallest_normal) & (values != 0)  # of even steps
-    step = np.float32(np.finfo(np.float16).smallest_subnormal)
-    result[small] = np.floor(values[small] / step + noise[small] / np.float32(1 << LOST_BITS)) * step
-    return result
 
 
 def _sampled(profiles: FloatArray, half: int, shift: FloatArray, points: int) -> NDArray[np.float32]:

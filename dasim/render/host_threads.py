@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -26,8 +27,9 @@ def in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> lis
     """Results of a function for several items, in their order.
 
     There are as many threads as render (:func:`dasim.render.backend.use_threads`), ``MOST_THREADS`` at most: a process
-    of a dataset has one. NumPy and SciPy release Python's lock in long operations. The function must not use the
-    renderer, and what it writes must depend on its item alone, so that the bytes do not depend on the threads.
+    of a dataset has one. NumPy and SciPy release Python's lock in long operations. The function must use neither
+    the renderer nor other threads, and what it writes must depend on its item alone, so that the bytes do not depend on
+    the threads.
     """
     import drjit
 
@@ -43,3 +45,7 @@ def _pool(count: int) -> ThreadPoolExecutor:
     with contextlib.suppress(OSError, AttributeError, TypeError):  # glibc alone has it
         ctypes.CDLL(None).mallopt(M_ARENA_MAX, 2)
     return ThreadPoolExecutor(count, "dasim")
+
+
+if hasattr(os, "register_at_fork"):  # a forked process has no threads: calls would wait for them
+    os.register_at_fork(after_in_child=_pool.cache_clear)

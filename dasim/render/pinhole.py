@@ -255,7 +255,7 @@ def _node_sums(
     # Each half of the rays has some of all nodes, and evenly spread wavelengths.
     odd = (_dispersed() % 2).astype(np.float32)
     even = 1 - odd
-    read = [np.array(value) for value in values[2 * channels.start : 2 * channels.stop]]
+    read = [np.array(value) for value in values[: 2 * channels.stop]]
 
     def sums(channel: int) -> Float32Array:
         pair, halves = [], []

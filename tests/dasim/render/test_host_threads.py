@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import threading
 
 import numpy as np
@@ -61,3 +63,15 @@ def test_noise_does_not_depend_on_the_threads(threads):
         results.append([*rendering_noise.measured(sums), *rendering_noise.of_sum(sums)])
     for one, several in zip(*results, strict=True):
         assert np.array_equal(one, several)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no os.fork on this computer")
+def test_forked_processes_have_threads_of_their_own(threads):
+    """Rationale: threads do not survive a fork, and a child would wait for them without end."""
+    threads(2)
+    in_threads(lambda item: item, range(4))
+    child = os.fork()
+    if not child:
+        signal.alarm(20)
+        os._exit(0 if in_threads(lambda item: item + 1, range(4)) == [1, 2, 3, 4] else 1)
+    assert os.waitpid(child, 0)[1] == 0
