@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib.resources import files
 from threading import Lock
@@ -26,6 +25,7 @@ import numpy as np
 from numba import njit
 from threadpoolctl import ThreadpoolController
 
+from dasim.base.threads import mapped
 from dasim.typing import Float32Array
 
 Net = Mapping[str, Float32Array]
@@ -130,8 +130,9 @@ _ONE_BLAS_THREAD = _OneBlasThread()
 def by_strips(work: Callable[[slice], None], shape: tuple[int, ...]) -> None:
     """Call ``work`` for strips of rows of an image of a ``shape``, in threads."""
     size = max(STRIP // shape[1], 1)
-    with _ONE_BLAS_THREAD, ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(work, [slice(top, min(top + size, shape[0])) for top in range(0, shape[0], size)]))
+    strips = [slice(top, min(top + size, shape[0])) for top in range(0, shape[0], size)]
+    with _ONE_BLAS_THREAD:
+        list(mapped(work, strips, os.cpu_count() or 1))
 
 
 def _around(image: Float32Array, rows: slice, dilation: int) -> Float32Array:

@@ -18,6 +18,7 @@ RENDER_THREADS = max(2, THREADS)  # Mitsuba's EXR reader and writer wait for eve
 if WORKERS > 1:
     os.environ.setdefault("NUMBA_NUM_THREADS", str(THREADS))
 
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -29,7 +30,9 @@ from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
+from dasim.materials import patterns
 from dasim.render import backend, shared_kernels
+from dasim.scene.procedural import library as procedural_meshes
 from dasim.scene.specification import Scene
 from tests.support.shared import FOLDER
 
@@ -37,6 +40,9 @@ from tests.support.shared import FOLDER
 os.environ.setdefault("DRJIT_CACHE_DIR", str(cache_dir() / "kernels"))
 # Tests render many small scenes, whose kernels are on disk: the plugins that scenes share would only cost them time.
 shared_kernels.FEW_SCENES = 10**9
+# They need the same meshes and patterns again and again.
+procedural_meshes._mesh_of = lru_cache(64)(procedural_meshes._mesh_of.__wrapped__)
+patterns._image = lru_cache(64)(patterns._image.__wrapped__)
 REFERENCE = Path(__file__).parents[2] / "shared" / "reference"
 
 

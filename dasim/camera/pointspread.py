@@ -16,7 +16,7 @@ are those of the pinhole's picture.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -106,21 +106,42 @@ def radial_profiles(
         weights = radiometry.stop_response(camera, stop, angle_deg) * spectrum[..., None, :]
         signal += grid.integrate(weights)
         f_number, inner = working_f_number(camera, ring.outer), ring.inner / ring.outer
-        for wavelength_nm, weight in grid.bands(weights):
-            scale_px = wavelength_nm * 1e-9 * f_number / pitch_m
-            own_blur = ring.outer * (np.asarray(blur_px) + np.interp(wavelength_nm, grid.WAVELENGTH_NM, colour_px))
-            if diffraction == "wave":
-                phase = wavefront.at(wavefront.of_stop(camera, stop), wavelength_nm, grid.BAND_NM)
-                waves = own_blur / (8 * scale_px)
-                profile = (
-                    radial_pattern.wave_profile(radius_px / scale_px, waves, inner, phase, ring.outer) / scale_px**2
-                )
-            elif diffraction == "airy":
-                profile = radial_pattern.airy_profile(radius_px, own_blur, scale_px, inner)
-            else:
-                profile = radial_pattern.geometric_profile(radius_px, own_blur, inner)
+        bands = grid.bands(weights)
+        wavelengths_nm = np.array([wavelength_nm for wavelength_nm, _ in bands])
+        scales_px = wavelengths_nm * 1e-9 * f_number / pitch_m
+        moved = np.interp(wavelengths_nm, grid.WAVELENGTH_NM, colour_px)
+        own_blur = ring.outer * (np.asarray(blur_px) + moved[:, None])
+        front = wavefront.of_stop(camera, stop)
+        profiles: Iterable[FloatArray]
+        if diffraction == "wave" and wavefront.is_flat(front):
+            waves = own_blur / (8 * scales_px[:, None])
+            profiles = radial_pattern.wave_profiles(radius_px, scales_px, waves, inner)
+        else:
+            profiles = (
+                _profile(radius_px, own, scale_px, ring, diffraction, wavefront.at(front, wavelength_nm, grid.BAND_NM))
+                for own, scale_px, wavelength_nm in zip(own_blur, scales_px, wavelengths_nm, strict=True)
+            )
+        for (_, weight), profile in zip(bands, profiles, strict=True):
             total += weight[..., None, :, None] * profile[:, None, :]
     return total / np.where(signal > 0, signal, 1.0)[..., None, :, None], signal
+
+
+def _profile(
+    radius_px: FloatArray,
+    blur_px: FloatArray,
+    scale_px: float,
+    ring: stops.Ring,
+    diffraction: str,
+    phase: wavefront.Phase | None,
+) -> FloatArray:
+    """Profile of a disc or ring at one wavelength, [blur, radius] per square pixel; ``blur_px`` is of its own rim."""
+    inner = ring.inner / ring.outer
+    if diffraction == "airy":
+        return radial_pattern.airy_profile(radius_px, blur_px, scale_px, inner)
+    if diffraction == "off":
+        return radial_pattern.geometric_profile(radius_px, blur_px, inner)
+    waves = blur_px / (8 * scale_px)
+    return radial_pattern.wave_profile(radius_px / scale_px, waves, inner, phase, ring.outer) / scale_px**2
 
 
 def _pattern_kernel(

@@ -10,6 +10,7 @@ principle (claim ``off-axis``).
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -43,22 +44,22 @@ def pupil_pattern(
         foreshortening: T [2, 2] in the order (y, x), from :func:`dasim.camera.geometry.foreshortening`, or None
         turn_rad: from the picture's x to that of ``phase``, towards y.
     """
+    defocus: tuple[FloatArray, ...]
     if foreshortening is None:
-        transmitted, place = stops.pupil(stop)
-        amplitude = _amplitude(stop, transmitted)
-        down = across = place
-        rho = place[:, None], place[None, :]
-        along = np.exp(2j * np.pi * waves * place**2)
-        defocus: tuple[FloatArray, ...] = (along[:, None], along[None, :])
+        transmitted, amplitude, down, across = _cropped(stop)
+        rho = down[:, None], across[None, :]
+        defocus = tuple(_exp_i(2 * np.pi * waves * along**2) for along in rho)
     else:
         transmitted, amplitude, down, across, rho = _foreshortened(stop, foreshortening.tobytes())
-        defocus = (np.exp(2j * np.pi * waves * (down[:, None] * rho[0] + across * rho[1])),)
+        defocus = (_exp_i(2 * np.pi * waves * (down[:, None] * rho[0] + across * rho[1])),)
     cell = down[1] - down[0]
     for factor in defocus:
         amplitude = amplitude * factor
+    left = _exp_i(np.pi * np.outer(y, down))
+    is_same = np.array_equal(y, x) and np.array_equal(down, across)
+    right = left.T if is_same else _exp_i(np.pi * np.outer(across, x))
 
     def field(amplitude: FloatArray) -> FloatArray:
-        left, right = np.exp(1j * np.pi * np.outer(y, down)), np.exp(1j * np.pi * np.outer(across, x))
         return np.asarray(left @ amplitude @ right * cell**2)
 
     norm = 4 * transmitted.sum() * cell**2
@@ -67,8 +68,18 @@ def pupil_pattern(
     amplitude = amplitude * wavefront.factor(phase, *turned(*rho, turn_rad))
     if phase.opening is None:
         return np.abs(field(amplitude)) ** 2 / norm
-    inside = _opening(phase.opening, place) if foreshortening is None else _at(stops.pupil(phase.opening)[0], rho)
+    inside = (
+        _opening(phase.opening, down, across) if foreshortening is None else _at(stops.pupil(phase.opening)[0], rho)
+    )
     return wavefront.two_parts(phase, field(amplitude * (1 - inside)), field(amplitude * inside)) / norm
+
+
+def _exp_i(phase: FloatArray) -> Any:
+    """exp(i phase), of the same shape; its sine and cosine take half of the time of a complex exponential."""
+    result = np.empty(phase.shape, complex)
+    np.cos(phase, out=result.real)
+    np.sin(phase, out=result.imag)
+    return result
 
 
 def turned(y: FloatArray, x: FloatArray, turn_rad: float) -> tuple[FloatArray, FloatArray]:
@@ -77,6 +88,24 @@ def turned(y: FloatArray, x: FloatArray, turn_rad: float) -> tuple[FloatArray, F
         return y, x
     sine, cosine = np.sin(turn_rad), np.cos(turn_rad)
     return y * cosine - x * sine, x * cosine + y * sine
+
+
+def _open(transmitted: FloatArray) -> tuple[slice, slice]:
+    """Rows and columns of a pupil without its closed rim, two at least."""
+    found = []
+    for axis in (1, 0):
+        inside = np.flatnonzero(transmitted.max(axis=axis))
+        first = min(inside[0], transmitted.shape[1 - axis] - 2)
+        found.append(slice(first, max(inside[-1] + 1, first + 2)))
+    return found[0], found[1]
+
+
+def _cropped(stop: Stop) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """A stop without the closed rim: transmittance and amplitude [y, x], and axes."""
+    transmitted, place = stops.pupil(stop)
+    rows, columns = _open(transmitted)
+    transmitted = transmitted[rows, columns]
+    return transmitted, _amplitude(stop, transmitted), place[rows], place[columns]
 
 
 @lru_cache(maxsize=8)
@@ -91,9 +120,8 @@ def _foreshortened(
         y, x = np.tensordot(inverse, np.stack(np.meshgrid(down, across, indexing="ij")), axes=1)
         return y, x
 
-    drawn = _at(transmitted, rho(place, place))
-    rows, columns = (np.flatnonzero(drawn.max(axis=axis)) for axis in (1, 0))
-    down, across = place[rows[0] : rows[-1] + 1], place[columns[0] : columns[-1] + 1]
+    rows, columns = _open(_at(transmitted, rho(place, place)))
+    down, across = place[rows], place[columns]
     places = rho(down, across)
     return _at(transmitted, places), _at(_amplitude(stop, transmitted), places), down, across, places
 
@@ -109,8 +137,9 @@ def _at(values: FloatArray, rho: tuple[FloatArray, FloatArray]) -> FloatArray:
     return np.asarray(ndimage.map_coordinates(values, cells, order=1, mode="grid-constant"))
 
 
-def _opening(opening: Stop, place: FloatArray) -> FloatArray:
-    """Share of each cell about ``place`` that an opening covers."""
+def _opening(opening: Stop, down: FloatArray, across: FloatArray) -> FloatArray:
+    """Share of each cell about places along the axes that an opening covers, [y, x]."""
     opened, _ = stops.pupil(opening)
-    index = ((place + 1) / 2 * len(opened)).astype(int)  # masks may have more cells than other stops
-    return opened[np.ix_(index, index)]
+    # Masks may have more cells than other stops.
+    rows, columns = (((along + 1) / 2 * len(opened)).astype(int) for along in (down, across))
+    return opened[np.ix_(rows, columns)]

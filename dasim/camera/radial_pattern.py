@@ -5,10 +5,11 @@ Tested in tests/dasim/camera/test_pointspread.py and tests/dasim/camera/test_zer
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 
 import numpy as np
+from scipy import ndimage
 from scipy.special import j0, j1, roots_legendre
 
 from dasim.camera import stops, wavefront
@@ -20,6 +21,8 @@ PUPIL_NODES = 400  # Gauss-Legendre nodes over the pupil's radius, at least: eno
 # The integrand has W20 periods of defocus, and R / 2 rings at a radius of R lambda N.
 NODES_PER_WAVE, NODES_PER_RADIUS, SPARE_NODES, MOST_NODES = 6, 1.7, 60, 4000
 AIRY_NODES = 800  # more, for mixtures of transfer functions with different cut-off frequencies
+STEPS_PER_RING = 24  # of the table of a profile, which is interpolated by cubic splines
+AT_ONCE = 1 << 22  # numbers of an array, which bounds the memory
 MIN_DISC_PX = 0.3  # a geometric disc smaller than this has no effect on a pixel's integral
 
 
@@ -38,9 +41,32 @@ def wave_profile(
     rho, weight = _pupil_nodes(radius, waves)
     rho, weight = inner + (1 - inner) * rho, (1 - inner) * weight
     pupil = np.exp(2j * np.pi * np.outer(waves, rho**2)) * (2 * rho * weight)
-    bessel = j0(np.pi * np.outer(rho, radius))
-    # two real products instead of a complex one with a real matrix
-    return np.pi / 4 * ((pupil.real @ bessel) ** 2 + (pupil.imag @ bessel) ** 2) / (1 - inner**2)
+    profile = np.empty((len(waves), len(radius)))
+    for part in np.array_split(np.arange(len(radius)), len(radius) * len(rho) // AT_ONCE + 1):
+        bessel = j0(np.pi * np.outer(rho, radius[part]))
+        # two real products instead of a complex one with a real matrix
+        profile[:, part] = (pupil.real @ bessel) ** 2 + (pupil.imag @ bessel) ** 2
+    return np.pi / 4 * profile / (1 - inner**2)
+
+
+def wave_profiles(
+    radius_px: FloatArray, scale_px: FloatArray, waves: FloatArray, inner: float = 0.0
+) -> Iterator[FloatArray]:
+    """:func:`wave_profile` at several wavelengths, [blur, radius] per square pixel for each.
+
+    ``scale_px`` [wavelength] is lambda N in pixels, ``waves`` [wavelength, blur] the defocus. The profiles of many
+    wavelengths are computed in units of lambda N at the same radii, since Bessel functions take most of the time, and
+    interpolated from there.
+    """
+    most = radius_px.max(initial=0) / scale_px + 1  # the spline is less exact at the end of the table
+    parts = min(len(scale_px), int(waves.size * STEPS_PER_RING * most.max(initial=0) / AT_ONCE) + 1)
+    for part in np.array_split(np.arange(len(scale_px)), parts) if parts else ():
+        table_radius = np.arange(int(np.ceil(STEPS_PER_RING * most[part].max())) + 1) / STEPS_PER_RING
+        table = wave_profile(table_radius, waves[part].ravel(), inner).reshape(*waves[part].shape, -1)
+        for own, scale in zip(table, scale_px[part], strict=True):
+            place = (radius_px * (STEPS_PER_RING / scale))[None]
+            # A profile is even in the radius, as is its mirror image.
+            yield np.stack([ndimage.map_coordinates(row, place, order=3, mode="mirror") for row in own]) / scale**2
 
 
 def _aberrated_profile(radius: FloatArray, waves: FloatArray, inner: float, phase: Phase, outer: float) -> FloatArray:

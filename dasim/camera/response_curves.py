@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import itertools
 import re
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -111,8 +112,9 @@ def _bell(centre_nm: float, left_nm: float, right_nm: float) -> FloatArray:
     return np.exp(-0.5 * ((WAVELENGTH_NM - centre_nm) / sigma) ** 2)
 
 
+@lru_cache(maxsize=8)
 def rgb_ir_quantum_efficiency(silicon_um: float | None = None) -> FloatArray:
-    """Quantum efficiency of a synthetic RGB-IR sensor, [4 (R, G, B, IR), wavelength], 0..1.
+    """Quantum efficiency of a synthetic RGB-IR sensor, [4 (R, G, B, IR), wavelength], 0..1; not writeable.
 
     With a thickness of silicon, the clear pixel converts at most what this layer absorbs (:func:`silicon.absorptance`).
     In 3 um, which a front-illuminated pixel of 1.7 um has, the limit begins at 648 nm: 0.37 at 730 nm and 0.23 at
@@ -146,7 +148,9 @@ def rgb_ir_quantum_efficiency(silicon_um: float | None = None) -> FloatArray:
     green = 0.05 + 0.94 * _bell(540.0, 32.0, 36.0) + 0.28 * long_pass(755.0, 120.0)
     blue = 0.05 + 0.90 * _bell(455.0, 45.0, 33.0) + 0.45 * long_pass(805.0, 45.0)
     infrared = 0.95 * long_pass(655.0, 14.0)
-    return clear * np.stack([red, green, blue, infrared])
+    efficiency = clear * np.stack([red, green, blue, infrared])
+    efficiency.flags.writeable = False  # shared by all callers
+    return efficiency
 
 
 def ir_crosstalk(response: FloatArray, band_nm: tuple[float, float] = NEAR_INFRARED_NM) -> FloatArray:

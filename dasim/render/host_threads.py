@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import os
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import TypeVar
+
+from dasim.base.threads import mapped
 
 MOST_THREADS = 8  # each takes up to 50 MB
 M_ARENA_MAX = -8  # of glibc's malloc.h
@@ -34,18 +34,13 @@ def in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> lis
     import drjit
 
     count = min(drjit.thread_count(), MOST_THREADS)
-    if count < 2:
-        return [function(item) for item in items]
-    return list(_pool(count).map(function, items))
+    if count > 1:
+        _share_memory()
+    return list(mapped(function, items, count))
 
 
 @cache
-def _pool(count: int) -> ThreadPoolExecutor:
-    """Threads that stay. With a pool of memory for each, which glibc gives them, a capture would take 120 MB more."""
+def _share_memory() -> None:
+    """With a pool of memory for each thread, which glibc gives them, a capture would take 120 MB more."""
     with contextlib.suppress(OSError, AttributeError, TypeError):  # glibc alone has it
         ctypes.CDLL(None).mallopt(M_ARENA_MAX, 2)
-    return ThreadPoolExecutor(count, "dasim")
-
-
-if hasattr(os, "register_at_fork"):  # a forked process has no threads: calls would wait for them
-    os.register_at_fork(after_in_child=_pool.cache_clear)

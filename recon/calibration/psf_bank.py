@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 
 import numpy as np
 from scipy import fft, ndimage
 
 from dasim.base.errors import InputError
+from dasim.base.threads import mapped
 from dasim.camera.sensor import channels
 from dasim.camera.specification import Camera
 from dasim.typing import Float32Array, FloatArray, Progress
 from dasim.values import LevelsBehind, PointPicture, PsfBank
 from recon.calibration.pictures import averaged, common_centre
-from recon.calibration.round_kernel import RING_SNR, basis_of, round_fit, subpixel_radius
+from recon.calibration.round_kernel import RING_SNR, over_pixels, round_fit, subpixel_radius
 from recon.calibration.unaligned import scattered
 from recon.calibration.white import relative_to_axis
 
@@ -47,11 +49,15 @@ def calibrate(
     groups, lights, levels = _grouped(pictures)
     _check_sizes(groups, camera)
     centred: dict[Key, FloatArray] = {}
-    for done, (key, group) in enumerate(groups.items()):
+
+    def kernel_of(group: list[PointPicture]) -> FloatArray:
         if any(picture.shift_px is None for picture in group):
-            centred[key] = scattered(group, camera)
-        else:
-            centred[key] = _interleaved_kernel(*_interleave(group, camera), on_axis=field_px == (0.0, 0.0))
+            return scattered(group, camera)
+        return _interleaved_kernel(*_interleave(group, camera), on_axis=field_px == (0.0, 0.0))
+
+    images = mapped(kernel_of, groups.values(), os.cpu_count() or 1)
+    for done, (key, image) in enumerate(zip(groups, images, strict=True)):
+        centred[key] = image
         if progress:
             progress("calibrate", (done + 1) / len(groups))
     half = min(min(image.shape[1:]) for image in centred.values()) // 2
@@ -170,8 +176,8 @@ def _round_kernels(
     for index, (picture, sigma) in enumerate(zip(image, noise_e, strict=True)):
         fit = round_fit(measured, picture.ravel(), sigma.ravel(), int(min(picture.shape) // 2))
         if fit is not None:
-            kernels[index] = (basis_of(target, fit[0]) @ fit[1]).reshape(size, size)
-            model = (basis_of(measured, fit[0]) @ fit[1]).reshape(picture.shape)
+            kernels[index] = over_pixels(target, fit).reshape(size, size)
+            model = fit.model.reshape(picture.shape)
             rest[index] = np.where(model > RING_SNR * sigma, picture - model, 0.0)
     return kernels, rest
 

@@ -5,6 +5,8 @@ Tested in tests/recon/calibration/test_psf_bank.py.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -21,10 +23,18 @@ ROUNDING = 1e-12  # the same with smoothness, which determines those knots
 ROUND_MISFIT = 0.15  # largest relative residual of the round model; above it the kernel is not round
 
 
+class RoundFit(NamedTuple):
+    """A round kernel that was fitted to pixels."""
+
+    knots: FloatArray  # radii, pixels
+    density: FloatArray  # at the knots, electrons per square pixel
+    model: FloatArray  # electrons of the pixels without the background, [pixel]
+
+
 def round_fit(
     radius: FloatArray, value: FloatArray, sigma: FloatArray, rings: int, smoothness: float = 0.0
-) -> tuple[FloatArray, FloatArray] | None:
-    """Knots in pixels and the density there of a round kernel; None if the picture is not round.
+) -> RoundFit | None:
+    """The round kernel of a picture; None if the picture is not round.
 
     Args:
         radius: distances of the subpixels of every pixel from the centre, [pixel, point] (:func:`subpixel_radius`).
@@ -36,7 +46,8 @@ def round_fit(
     start = _tail_start(value, sigma, np.floor(radius.mean(axis=-1)).astype(int), rings)
     knots = knots_to(start)
     basis = sparse.hstack([basis_of(radius, knots), np.ones((len(radius), 1))], format="csr")
-    weighted = sparse.diags_array(1 / sigma) @ basis
+    weighted = basis.copy()
+    weighted.data /= np.repeat(sigma, np.diff(basis.indptr))
     normal = (weighted.T @ weighted).toarray()
     if smoothness:
         order = np.argsort(radius.min(axis=-1))
@@ -48,9 +59,10 @@ def round_fit(
     lift = np.zeros(len(normal))  # the densities are not negative; the background, of which noise is left, may be
     lift[-1] = sigma.max()
     profile = _non_negative(normal, weighted.T @ (value / sigma) + normal @ lift) - lift
-    residual = np.sum((basis @ profile - value) ** 2) - np.sum(sigma**2)
+    model = basis @ profile
+    residual = np.sum((model - value) ** 2) - np.sum(sigma**2)
     if residual < ROUND_MISFIT**2 * np.sum((value - profile[-1]) ** 2):
-        return knots, profile[:-1]
+        return RoundFit(knots, profile[:-1], model - profile[-1])
     return None
 
 
@@ -70,14 +82,29 @@ def subpixel_radius(shape: tuple[int, ...], centre: FloatArray) -> FloatArray:
 
 def basis_of(radius: FloatArray, knots: FloatArray) -> sparse.csr_array:
     """Integral over each pixel of every knot's hat function, [pixel, knot]; the last one continues as r^-3."""
+    pixels, points = radius.shape
     inside = np.minimum(radius, knots[-1])
     upper = np.clip(np.searchsorted(knots, inside, side="right"), 1, len(knots) - 1)
     share = (inside - knots[upper - 1]) / (knots[upper] - knots[upper - 1])
-    falloff = np.maximum(radius / knots[-1], 1.0) ** -3
-    pixel = np.repeat(np.arange(len(radius)), radius.shape[1])
-    parts = np.concatenate([((1 - share) * falloff).ravel(), (share * falloff).ravel()]) / radius.shape[1]
-    index = (np.tile(pixel, 2), np.concatenate([upper.ravel() - 1, upper.ravel()]))
-    return sparse.coo_array((parts, index), shape=(len(radius), len(knots))).tocsr()
+    falloff = _falloff(radius, knots[-1]) / points
+    parts = np.concatenate([(1 - share) * falloff, share * falloff], axis=1)
+    index = np.concatenate([upper - 1, upper], axis=1)
+    rows = np.arange(pixels + 1) * (2 * points)
+    basis = sparse.csr_array((parts.ravel(), index.ravel(), rows), shape=(pixels, len(knots)))
+    basis.sum_duplicates()
+    return basis
+
+
+def over_pixels(radius: FloatArray, fit: RoundFit) -> FloatArray:
+    """Integral of a fitted kernel over each pixel, [pixel], electrons; ``radius`` is as for :func:`round_fit`."""
+    density = np.interp(radius, fit.knots, fit.density) * _falloff(radius, fit.knots[-1])
+    return np.asarray(density.mean(axis=-1))
+
+
+def _falloff(radius: FloatArray, last: float) -> FloatArray:
+    """r^-3 beyond the last knot, 1 within."""
+    inverse = last / np.maximum(radius, last)
+    return inverse * inverse * inverse
 
 
 def _tail_start(value: FloatArray, sigma: FloatArray, ring: NDArray[np.int_], rings: int) -> float:

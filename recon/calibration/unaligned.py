@@ -15,7 +15,7 @@ from dasim.camera.specification import Camera
 from dasim.typing import FloatArray
 from dasim.values import PointPicture
 from recon.calibration.pictures import CORE_SHARE, RIM_PX, averaged, common_centre
-from recon.calibration.round_kernel import basis_of, knots_to, round_fit, subpixel_radius
+from recon.calibration.round_kernel import basis_of, knots_to, over_pixels, round_fit, subpixel_radius
 
 # One mosaic picture undersamples a core within this radius, and its centre of mass is off by a tenth of a pixel. Its
 # centre is that of the best fit of the round model instead.
@@ -63,7 +63,7 @@ def scattered(group: list[PointPicture], camera: Camera) -> FloatArray:
                 f"calibration: the picture of {name} of {group[0].light} level {group[0].level} is not round; "
                 "give pictures with whole-pixel shifts that cover the mosaic's period (shift_x_px, shift_y_px)"
             )
-        kernels[index] = (basis_of(target, fit[0]) @ fit[1]).reshape(kernels.shape[1:])
+        kernels[index] = over_pixels(target, fit).reshape(kernels.shape[1:])
     return kernels
 
 

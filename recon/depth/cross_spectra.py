@@ -169,20 +169,21 @@ def expected(kernels: Float32Array, phases: Sequence[Phase], exponent: float = T
     weights = np.stack([ring.astype(np.float64) ** 2 for ring in rings(np.hypot(base_y, base_x))])
     weights /= weights.sum(axis=(1, 2), keepdims=True)
     index = np.rint(np.fft.fftfreq(side, 2.0) * 2 * side).astype(int)
-    table = np.zeros((len(kernels), len(weights), kernels.shape[1], kernels.shape[1]))
+    # A frequency of the upper half folds to one half a cycle per pixel lower.
+    folds = [(down, right) for down in (0, 1) for right in (0, 1)]
+    places = [
+        ((index + side * down)[:, None] % (2 * side), (index + side * right) % (2 * side)) for down, right in folds
+    ]
+    powers = [(weights * power[place]).reshape(len(weights), -1).T for place in places]
+    signs = [np.array([(-1.0) ** (down * y + right * x) for y, x in phases])[:, None] for down, right in folds]
+    channels = kernels.shape[1]
+    table = np.zeros((len(kernels), len(weights), channels, channels))
     for level, own in enumerate(kernels):
-        half = fourier.transfer(own, shape)
-        whole = _whole(half, shape)
-        for down in (0, 1):
-            for right in (0, 1):
-                rows, columns = (index + side * down) % (2 * side), (index + side * right) % (2 * side)
-                # A frequency of the upper half folds to one half a cycle per pixel lower.
-                part = whole[:, rows[:, None], columns]
-                sign = np.array([(-1.0) ** (down * y + right * x) for y, x in phases])
-                p = power[rows[:, None], columns]
-                signed = part * sign[:, None, None]
-                for image in (signed.real, signed.imag):  # the real part of H_i conj H_j
-                    table[level] += np.einsum("bxy,ixy,jxy->bij", weights * p, image, image, optimize=True)
+        whole = _whole(fourier.transfer(own, shape), shape)
+        for place, folded, sign in zip(places, powers, signs, strict=True):
+            signed = whole[:, *place].reshape(channels, -1) * sign
+            products = (signed[:, None] * signed[None].conj()).real.reshape(channels**2, -1)
+            table[level] += (products @ folded).T.reshape(-1, channels, channels)
     return table
 
 

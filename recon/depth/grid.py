@@ -6,7 +6,6 @@ The sample spacing ``spacing_px`` is 2 raw pixels for the colour planes of a mos
 from __future__ import annotations
 
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Literal, NamedTuple
 
 import cv2
@@ -14,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from dasim.base.threads import mapped
 from dasim.typing import Complex64Array, Float32Array
 from recon import fourier
 from recon.picture.mosaic import Phase
@@ -121,8 +121,7 @@ def gaussian_means(images: Iterable[Float32Array], sigma: float, at: Places | No
     def there(image: Float32Array) -> Float32Array:
         return _means_at(np.ascontiguousarray(image, np.float32), sigma, at) if at else everywhere(image)
 
-    with ThreadPoolExecutor(fourier.WORKERS) as pool:
-        return np.stack(list(pool.map(there, images)))
+    return np.stack(list(mapped(there, images, fourier.WORKERS)))
 
 
 def _means_at(image: Float32Array, sigma: float, at: Places) -> Float32Array:

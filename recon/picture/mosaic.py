@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import cv2
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
+from dasim.base.threads import mapped
 from dasim.camera import noise
 from dasim.camera.crosstalk import corrected, electronic_crosstalk, noise_gains
 from dasim.camera.sensor import channels
@@ -282,8 +282,7 @@ def demosaic(bayer: Float32Array, camera: Camera, signature: NDArray) -> Float32
         np.multiply(colours, white, out=image[top : top + STRIP_PX])
 
     # in strips: what lies between needs memory, and the compiled functions use one core
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(strip, range(0, bayer.shape[0], STRIP_PX)))
+    list(mapped(strip, range(0, bayer.shape[0], STRIP_PX), os.cpu_count() or 1))
     return image
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import NamedTuple
@@ -15,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.base.threads import mapped
 from dasim.typing import Complex64Array, Float32Array
 from recon import fourier
 from recon.fourier import Box
@@ -149,9 +149,8 @@ def _part(node: int, sides: Sequence[_Side], margin_px: int, strip_px: int) -> P
 def by_parts(result: Float32Array, parts: Sequence[Part], work: Callable[[Part], Float32Array]) -> None:
     """Fill a picture [channel, h, w] with the sum of what ``work`` gives for its parts."""
     result[:] = 0
-    with ThreadPoolExecutor(fourier.WORKERS) as pool:
-        for part, found in zip(parts, pool.map(work, parts), strict=True):
-            result[:, *part.core] += found
+    for part, found in zip(parts, mapped(work, parts, fourier.WORKERS), strict=True):
+        result[:, *part.core] += found
 
 
 def own_share(position: Float32Array, part: Part, reach_px: int) -> Float32Array:

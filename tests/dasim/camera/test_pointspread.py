@@ -76,6 +76,26 @@ def test_defocus_on_the_axis_is_a_sinc():
     np.testing.assert_allclose(axis / axis[0], np.sinc(waves) ** 2, atol=1e-12)
 
 
+@pytest.mark.parametrize("inner", [0.0, 0.4])
+def test_interpolated_profiles_are_those_of_the_integral(inner, monkeypatch):
+    """Set-up: four wavelengths, in parts of one and all together, to a radius of 90 rings at the shortest, up to 12
+    waves of defocus. Expectation: equal to 1e-5 of each peak, and finite for a single radius and for no wavelength.
+    """
+    radius_px, scale_px = np.arange(0, 60, 0.05), np.array([0.66, 0.9, 1.2, 1.5])
+    waves = np.array([0.0, 0.3, -2.0, 12.0]) * 0.66 / scale_px[:, None]
+    whole = np.stack(list(radial_pattern.wave_profiles(radius_px, scale_px, waves, inner)))
+    monkeypatch.setattr(radial_pattern, "AT_ONCE", 1 << 12)
+    in_parts = np.stack(list(radial_pattern.wave_profiles(radius_px, scale_px, waves, inner)))
+    for index, scale in enumerate(scale_px):
+        expected = wave_profile(radius_px / scale, waves[index], inner) / scale**2
+        peak = expected.max(axis=1, keepdims=True)
+        for found in (whole, in_parts):
+            np.testing.assert_allclose(found[index] / peak, expected / peak, atol=1e-5)
+    (middle,) = radial_pattern.wave_profiles(np.zeros(1), scale_px[:1], waves[:1], inner)
+    np.testing.assert_allclose(middle, whole[0][:, :1], rtol=1e-6, atol=1e-12)
+    assert not list(radial_pattern.wave_profiles(radius_px, scale_px[:0], waves[:0], inner))
+
+
 @pytest.mark.parametrize("waves", [0.0, 0.5, 1.2, 3.0])
 def test_defocus_is_the_fourier_transform_of_a_sampled_pupil(waves):
     """Rationale: an independent method: no Bessel functions, no radial symmetry.
