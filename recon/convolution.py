@@ -14,7 +14,6 @@ threads busy-wait for each other, which took up to six times the CPU time when o
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from functools import cache
 from importlib.resources import files
@@ -27,6 +26,7 @@ from threadpoolctl import ThreadpoolController
 
 from dasim.base.threads import mapped
 from dasim.typing import Float32Array
+from recon import fourier
 
 Net = Mapping[str, Float32Array]
 
@@ -132,7 +132,7 @@ def by_strips(work: Callable[[slice], None], shape: tuple[int, ...]) -> None:
     size = max(STRIP // shape[1], 1)
     strips = [slice(top, min(top + size, shape[0])) for top in range(0, shape[0], size)]
     with _ONE_BLAS_THREAD:
-        list(mapped(work, strips, os.cpu_count() or 1))
+        list(mapped(work, strips, fourier.THREADS))
 
 
 def _around(image: Float32Array, rows: slice, dilation: int) -> Float32Array:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
 from dasim.typing import Complex64Array, Float32Array
 
-WORKERS = 2
+THREADS: int = numba.config.NUMBA_NUM_THREADS  # cores that this process may use, unless the environment says otherwise
+WORKERS = min(2, THREADS)  # with more, transforms would need more memory
 
 Box = tuple[slice, slice]  # rows and columns of a frame; they may lie outside of it
 

@@ -14,7 +14,6 @@ for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 # Processes of pytest-xdist share the cores: each renders and computes on its part of them.
 WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
 THREADS = max(1, (os.cpu_count() or 1) // WORKERS)
-RENDER_THREADS = max(2, THREADS)  # Mitsuba's EXR reader and writer wait for ever for a second thread
 if WORKERS > 1:
     os.environ.setdefault("NUMBA_NUM_THREADS", str(THREADS))
 
@@ -75,7 +74,7 @@ def threads():
     """Reset the number of threads for each module, because datasets set it to one."""
     cv2.setNumThreads(THREADS)
     if "drjit" in sys.modules:
-        backend.use_threads(RENDER_THREADS)
+        backend.use_threads(THREADS)
 
 
 @pytest.fixture(scope="session")
@@ -129,7 +128,7 @@ def renderer() -> str:
     """Name of the fastest variant that works, which is activated in this process."""
     choice = backend.choose()
     backend.activate(choice)
-    backend.use_threads(RENDER_THREADS)
+    backend.use_threads(THREADS)
     return choice.variant
 
 

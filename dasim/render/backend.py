@@ -153,7 +153,7 @@ def use_threads(count: int) -> None:
 
 @contextlib.contextmanager
 def reading_threads() -> Iterator[None]:
-    """Ensure two threads while Mitsuba reads files: its EXR reader waits forever for a second one."""
+    """Ensure two threads while Mitsuba reads or writes files: its EXR code waits forever for a second one."""
     import drjit
 
     count = drjit.thread_count()

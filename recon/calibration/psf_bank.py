@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 
 import numpy as np
@@ -14,6 +13,7 @@ from dasim.camera.sensor import channels
 from dasim.camera.specification import Camera
 from dasim.typing import Float32Array, FloatArray, Progress
 from dasim.values import LevelsBehind, PointPicture, PsfBank
+from recon import fourier
 from recon.calibration.pictures import averaged, common_centre
 from recon.calibration.round_kernel import RING_SNR, over_pixels, round_fit, subpixel_radius
 from recon.calibration.unaligned import scattered
@@ -55,7 +55,7 @@ def calibrate(
             return scattered(group, camera)
         return _interleaved_kernel(*_interleave(group, camera), on_axis=field_px == (0.0, 0.0))
 
-    images = mapped(kernel_of, groups.values(), os.cpu_count() or 1)
+    images = mapped(kernel_of, groups.values(), fourier.THREADS)
     for done, (key, image) in enumerate(zip(groups, images, strict=True)):
         centred[key] = image
         if progress:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from typing import NamedTuple
 
 import cv2
@@ -19,6 +18,7 @@ from dasim.camera.specification import Camera
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import BoolArray, Float32Array
 from dasim.values import Capture
+from recon import fourier
 from recon.picture import menon
 
 Phase = tuple[int, int]
@@ -282,7 +282,7 @@ def demosaic(bayer: Float32Array, camera: Camera, signature: NDArray) -> Float32
         np.multiply(colours, white, out=image[top : top + STRIP_PX])
 
     # in strips: what lies between needs memory, and the compiled functions use one core
-    list(mapped(strip, range(0, bayer.shape[0], STRIP_PX), os.cpu_count() or 1))
+    list(mapped(strip, range(0, bayer.shape[0], STRIP_PX), fourier.THREADS))
     return image
 
 

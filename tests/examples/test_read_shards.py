@@ -17,6 +17,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "read_shards.py"
 FIELDS = {"depth.Z": "depth_m", "labels.object_id": "object_id", "blur.level": "level", "labels.valid": "valid"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", ["dn", "full"])
 def test_every_part_is_what_dasim_reads(renderer, tmp_path, scale):
     """Expectation: raw numbers and truth as ``dasim.open_dataset`` reads them, at both scales of raw.png; every channel

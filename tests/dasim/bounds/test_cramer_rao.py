@@ -141,6 +141,7 @@ def test_maximum_likelihood_reaches_the_bound(blur, side):
     assert off < UNBIASED  # and no bias to speak of
 
 
+@pytest.mark.slow
 def test_what_is_above_the_bound_in_small_patches_goes_with_their_size():
     """At 9 px of blur, patches of 31 px (3.4 blurs) leave too few frequencies: the error is 4 % above the bound; with
     63 px it is not.

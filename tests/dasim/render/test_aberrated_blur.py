@@ -44,6 +44,7 @@ def lens(da_mobile, name: str, focus_m: float = 0.4, passes: str = "open") -> Ca
     return cameras.cropped(parse(Camera, data, name), 48, 48)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("diffraction", ["wave", "off"])
 def test_coefficients_of_all_stops_are_those_of_the_lens(jit, da_mobile, diffraction):
     """Expectation: the same pixels from `dasim.simulate`; in the hole alone, infrared as with both, but for the

@@ -86,6 +86,7 @@ def coated_room(make_scene):
     )
 
 
+@pytest.mark.slow
 def test_pictures_of_coats_are_those_of_path_tracing(jit, coated_room, wide, monkeypatch) -> None:
     """Rationale: the light of the base, from the irradiance field, and gloss, by rays, must add up to the light that a
     path tracer finds, with nothing counted twice and nothing left out.

@@ -358,6 +358,7 @@ def test_kernels_over_wavelengths_keep_the_contrast(jit, monkeypatch, behind):
     np.testing.assert_allclose(error, 0.0, atol=0.001)
 
 
+@pytest.mark.slow
 def test_points_keep_their_peak(jit, monkeypatch):
     """Rationale: averaged kernels raise the peak of a point's picture, whatever the control variate's factor is.
 

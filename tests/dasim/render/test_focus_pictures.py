@@ -115,6 +115,7 @@ def test_weights_of_nodes_blur_an_edge_wherever_it_lies_in_a_node(jit):
         assert found == pytest.approx(np.interp(step, at, beyond), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_other_stops_are_left_to_their_own_rays(jit):
     """Set-up: a square beside a disc, a lens with aberrations, and one whose open disc is too fast for the nodes.
 

@@ -31,6 +31,7 @@ def captured(jit, make_scene, da_mobile, lamp, monkeypatch):
     return lambda: dasim.simulate(scene, camera, spp="auto")
 
 
+@pytest.mark.slow
 def test_pictures_are_those_of_functions_that_are_not_frozen(captured, monkeypatch):
     """Rationale: what is no array is read at the first call alone: a size, a seed or a table of the first batch would
     be used for all.

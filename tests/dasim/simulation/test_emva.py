@@ -158,6 +158,7 @@ def test_gain_shows_a_read_noise_that_rounding_hides(da_mobile, analyse, tmp_pat
     assert result.K == pytest.approx(8 * 959 / 6000, rel=GAIN_LIMIT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["da-mobile", "apart"])
 def test_data_sheet_round_trip(cases, measured, tmp_path, name):
     """Rationale: a data sheet is a way to describe one's own sensor.

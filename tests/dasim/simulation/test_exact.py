@@ -13,6 +13,7 @@ from dasim.simulation.simulate import simulate
 DOME = {"kind": "dome", "illuminant": "D55", "lux": 400.0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("spherical_nm", "pictures"), [(0.0, ["sharp_e"]), (60.0, ["sharp_e", "focus_e"])])
 def test_exact_pictures_have_more_samples_where_they_are_noisy(
     make_scene, da_mobile, lamp, renderer, monkeypatch, spherical_nm, pictures

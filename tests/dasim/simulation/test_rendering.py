@@ -82,6 +82,7 @@ def test_control_variates_are_released_after_their_last_use(make_scene, da_mobil
     np.testing.assert_array_equal(*rates)
 
 
+@pytest.mark.slow
 def test_few_samples_have_no_bias_where_one_depth_is_seen(make_scene, da_mobile, jit):
     """Rationale: in the tail of the hole's diffraction pattern, a ray in hundreds meets another depth. Four rays of
     which one does so were taken for two layers, and its light counted too much: 0.05 to 0.1 % beside an edge.

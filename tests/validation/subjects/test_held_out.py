@@ -34,6 +34,7 @@ def test_the_test_set_is_the_one_that_figures_are_stated_for():
 DRAWN = {"tune": "57bdffc2437e8e441052abc3", "test": "260a943a88bc28352238f7f3"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DRAWN)
 def test_both_sets_show_the_scenes_that_they_were_fixed_with(name):
     """Expectation: neither the list nor what is drawn from it changes, byte for byte: figures stay comparable."""

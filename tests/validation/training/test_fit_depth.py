@@ -126,6 +126,7 @@ def test_examples_of_a_batch_are_cropped_together():
     torch.testing.assert_close(images[:, 0], blur)
 
 
+@pytest.mark.slow
 def test_rooms_depend_on_seed_and_number_alone(monkeypatch):
     monkeypatch.setattr(depth_examples, "SIZE_PX", (48, 32))
     two, one = depth_examples.make(2), depth_examples.make(1)

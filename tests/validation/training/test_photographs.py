@@ -17,6 +17,7 @@ def detail(image):
     return np.diff(image, axis=-1).std() / image.std()
 
 
+@pytest.mark.slow
 def test_a_photograph_is_softer_than_what_it_shows(monkeypatch):
     """Expectation: in each of some photographs less detail than in the same room without blur, and nearly none beyond
     what its largest blur leaves.

@@ -28,6 +28,7 @@ def images(scene):
     return set(re.findall(r'"((?:pattern|skimage):[^"]+|[^"]+\.png)"', json.dumps(scene.model_dump(mode="json"))))
 
 
+@pytest.mark.slow
 def test_pictures_and_seeds_of_textures_are_those_of_no_other_scene(files):
     """Set-up: ten scenes; for comparison, the captures that depth is judged on."""
     shown = {name for number in range(10) for name in images(traced._scene(number, files)[0])}

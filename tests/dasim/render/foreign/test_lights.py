@@ -12,8 +12,10 @@ import pytest
 
 import dasim
 from dasim.base.errors import InputError
+from dasim.render import backend
 from dasim.spectra import illuminants, observer
 from dasim.spectra.grid import WAVELENGTH_NM, integrate
+from tests.support.exr import write_exr
 from tests.support.foreign_scenes import ASLANT, wall
 
 DEADLINE_S = 100.0  # of a process that imports, compiles and reads, on a busy computer
@@ -65,9 +67,7 @@ def test_light_that_is_not_finite_or_not_rendered_is_one_line(
     xml, wide, renderer, tmp_path, material, light, message_part
 ):
     """Set-up: an index of refraction and light beyond single precision, a colour picture as a map of normals."""
-    import mitsuba as mi
-
-    mi.Bitmap(np.ones((8, 16, 3), np.float32)).write(str(tmp_path / "one.exr"))
+    write_exr(tmp_path / "one.exr", np.ones((8, 16, 3), np.float32))
     with pytest.raises(InputError) as caught:
         dasim.simulate(xml(wall(material, light)), wide(16, 12), spp=2)
     assert message_part in str(caught.value) and "\n" not in str(caught.value)
@@ -82,7 +82,8 @@ def pose_of_theirs(text: str):
     """Mitsuba's own scene, and the transform of camera axes (x right, y down) into its world."""
     import mitsuba as mi
 
-    theirs = mi.load_string(text)
+    with backend.reading_threads():
+        theirs = mi.load_string(text)
     look = np.array(theirs.sensors()[0].world_transform().matrix, dtype=float).reshape(4, 4)
     return theirs, look @ np.diag([-1.0, -1.0, 1.0, 1.0])
 
@@ -142,9 +143,7 @@ translate.world(scene, dasim.cropped(dasim.load_camera("da-mobile"), 32, 24))
 
 def test_an_environment_map_is_read_on_one_thread(jit, tmp_path):
     """Rationale: workers of datasets render on one thread, and Mitsuba's EXR reader waits for ever for a second one."""
-    import mitsuba as mi
-
-    mi.Bitmap(np.ones((128, 256, 3), np.float32)).write(str(tmp_path / "sky.exr"))
+    write_exr(tmp_path / "sky.exr", np.ones((128, 256, 3), np.float32))
     light = '<emitter type="envmap"><string name="filename" value="sky.exr"/></emitter>'
     (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{ASLANT}{SHAPE}{light}</scene>')
     command = [sys.executable, "-c", READ_ON_ONE_THREAD]
@@ -165,7 +164,7 @@ def test_environment_map_keeps_its_directions_and_gets_the_illuminant(xml, world
     small = rng.uniform(0.2, 1.0, (5, 8, 3)).astype(np.float32)
     picture = cv2.resize(np.concatenate([small, small[:, :1]], axis=1), (256, 128), interpolation=cv2.INTER_LINEAR)
     picture[:, -1] = picture[:, 0]
-    mi.Bitmap(picture).write(str(tmp_path / "sky.exr"))
+    write_exr(tmp_path / "sky.exr", picture)
     light = (
         '<emitter type="envmap"><string name="filename" value="sky.exr"/><float name="scale" value="2"/>'
         '<transform name="to_world"><rotate y="1" angle="50"/></transform></emitter>'

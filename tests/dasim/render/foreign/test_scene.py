@@ -7,6 +7,7 @@ import pytest
 
 import dasim
 from dasim.base.errors import InputError
+from tests.support.exr import write_exr
 from tests.support.foreign_scenes import ROOM, wall
 
 SINGLE = 1e-4  # relative: rays and shapes are single precision
@@ -160,9 +161,7 @@ def test_sizes_beyond_likely_units_are_noted(xml, world, wide):
     ],
 )
 def test_what_is_wrong_is_one_line(xml, world, wide, tmp_path, text, message_part):
-    import mitsuba as mi
-
-    mi.Bitmap(np.full((8, 16, 3), np.nan, np.float32)).write(str(tmp_path / "nan.exr"))
+    write_exr(tmp_path / "nan.exr", np.full((8, 16, 3), np.nan, np.float32))
     with pytest.raises(InputError) as caught:
         world(xml(text), wide())
     message = str(caught.value)

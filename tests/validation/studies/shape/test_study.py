@@ -24,6 +24,7 @@ def test_a_camera_without_infrared_has_nothing_to_shape(tmp_path, capsys) -> Non
     assert "IR" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_rows_are_relative_to_the_disc_and_sorted_by_the_bound_of_depth(study: Study) -> None:
     disc, others = study.rows[0], study.rows[1:]
     assert (disc.name, disc.depth_ratio, disc.cut_ratio, disc.sharp_ratio) == ("disc 0.46", 1.0, 1.0, 1.0)
