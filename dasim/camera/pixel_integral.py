@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dasim.camera.radial_pattern import SUBPIXELS
+from dasim.camera.radial_pattern import SUBPIXELS, unit_nodes
 from dasim.typing import FloatArray
 
 
@@ -16,20 +16,24 @@ def pixel_kernels(
     radius_px: FloatArray,
     size: int,
     offset_px: tuple[float, float] = (0.0, 0.0),
-    samples: int = SUBPIXELS,
+    nodes: int | None = None,
 ) -> FloatArray:
     """Integrate radial profiles [..., radius] over the pixels of a ``size`` x ``size`` frame (odd).
 
-    The point's image lies at ``offset_px`` (y, x) from the centre of the middle pixel. Each pixel has ``samples`` x
-    ``samples`` samples.
+    The point's image lies at ``offset_px`` (y, x) from the centre of the middle pixel. Smooth profiles need few
+    Gauss-Legendre ``nodes`` per pixel and axis; without a number, a pixel is the mean of ``SUBPIXELS`` x ``SUBPIXELS``
+    points, for profiles with edges.
     """
-    fine = (np.arange(size * samples) + 0.5) / samples - size / 2
+    place, share = (np.arange(SUBPIXELS) + 0.5) / SUBPIXELS, np.full(SUBPIXELS, 1 / SUBPIXELS)
+    if nodes is not None:
+        place, share = unit_nodes(nodes)
+    fine = (np.arange(size)[:, None] + place).ravel() - size / 2
     distance = np.hypot(fine[:, None] - offset_px[0], fine[None, :] - offset_px[1]).ravel()
     flat = profiles.reshape(-1, profiles.shape[-1])
     kernels = np.empty((len(flat), size, size))
     for row, profile in enumerate(flat):
         value = np.interp(distance, radius_px, profile, right=0.0)
-        kernels[row] = value.reshape(size, samples, size, samples).mean(axis=(1, 3))
+        kernels[row] = (value.reshape(size, len(share), size, len(share)) @ share).swapaxes(1, 2) @ share
     return kernels.reshape(*profiles.shape[:-1], size, size)
 
 

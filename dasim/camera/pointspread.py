@@ -42,11 +42,12 @@ Field = tuple[float, float]  # (x, y) in pixels from the optical axis
 AXIS: Field = (0.0, 0.0)
 DIFFRACTION_MODELS: tuple[str, ...] = get_args(Diffraction)
 
-RADIAL_STEP_PX = 0.05
-PIXEL_NODES = 5  # Gauss-Legendre nodes per pixel and axis off the axis and with aberrations, at least
-# Within lambda N at 400 nm, where that is small in pixels: nodes, samples of the integral over the pixel, radial steps.
-NODES_PER_RING, SAMPLES_PER_RING, STEPS_PER_RING = 3.2, 4.0, 12.0
-MOST_SAMPLES, MOST_RADII = 2400, 5000  # along a kernel's side and its radius, which bounds time and memory
+RADIAL_STEP_PX = 0.0125  # between which profiles are linear
+PIXEL_NODES = 5  # Gauss-Legendre nodes per pixel and axis, at least
+# Within lambda N at 400 nm: nodes of the integral over the pixel, where patterns are transformed and where they are
+# radial, and radial steps.
+NODES_PER_RING, RADIAL_NODES_PER_RING, STEPS_PER_RING = 3.2, 4.0, 50.0
+MOST_NODES, MOST_RADII = 2400, 5000  # along a kernel's side and its radius, which bounds time and memory
 MOST_WAVES = stops.PUPIL_CELLS / 8  # of defocus: a phase of pi between neighbouring cells of a pupil at its rim
 LARGEST_FIELD_DEG = 60.0  # beyond, the foreshortened pupil has less than 32 cells of its grid across
 
@@ -61,10 +62,12 @@ def finest_ring_px(camera: Camera) -> float:
     return float(grid.WAVELENGTH_NM[0]) * 1e-3 * working_f_number(camera, 1.0) / camera.sensor.pixel_pitch_um
 
 
-def _samples(camera: Camera, size: int) -> int:
-    """Samples per pixel and axis of the integral of a radial profile over the pixels of a kernel."""
-    wanted = int(np.ceil(SAMPLES_PER_RING / finest_ring_px(camera)))
-    return max(SUBPIXELS, min(wanted, MOST_SAMPLES // size))
+def _nodes(camera: Camera, size: int, diffraction: str) -> int | None:
+    """Nodes per pixel and axis of the integral of a radial profile over the pixels of a kernel; None for edges."""
+    if diffraction == "off":
+        return None
+    wanted = int(np.ceil(RADIAL_NODES_PER_RING / finest_ring_px(camera)))
+    return max(PIXEL_NODES, min(wanted, MOST_NODES // size))
 
 
 def check_model(diffraction: str) -> None:
@@ -228,7 +231,7 @@ def kernels(
             about.setdefault((ring.centre, *_veil(camera, stop)), []).append(stop)
     largest = float(np.abs(blurs).max() + np.abs(geometry.chromatic_blur_px(camera)).max())
     farthest = max((float(np.hypot(*centre)) for centre, *_ in about), default=0.0) * largest / 2
-    samples, end = _samples(camera, size), size * 0.75 + 2 + farthest
+    nodes, end = _nodes(camera, size, diffraction), size * 0.75 + 2 + farthest
     radius = np.arange(0, end, min(RADIAL_STEP_PX, max(finest_ring_px(camera) / STEPS_PER_RING, end / MOST_RADII)))
     groups = [
         (
@@ -247,7 +250,7 @@ def kernels(
         for centre, veil, colour_px, profiles, electrons in groups:
             y, x = np.array(offset_px) - centre * (blurs[index] + colour_px) / 2
             shares = electrons[light]
-            part = pixel_kernels(profiles[..., index, :, :][light], radius, size, (float(y), float(x)), samples)
+            part = pixel_kernels(profiles[..., index, :, :][light], radius, size, (float(y), float(x)), nodes)
             part = _veiled(part, np.ones_like(shares), veil, offset_px)
             total, signal = total + part * shares[..., None, None], signal + shares
         for stop in others:

@@ -7,8 +7,10 @@ import pytest
 
 from dasim.base.toml import parse
 from dasim.camera import geometry
-from dasim.camera.pointspread import psf
+from dasim.camera.pointspread import psf, radial_profiles
 from dasim.camera.specification import Camera
+from dasim.spectra.grid import CHANNELS
+from dasim.spectra.illuminants import illuminant
 
 OPEN = {"name": "open", "radius_ratio": 1.0}
 
@@ -24,6 +26,24 @@ def test_a_tiny_wavefront_error_of_an_annulus_changes_nothing(da_mobile):
     ring = {"name": "ring", "shape": "annulus", "inner_ratio": 0.6, "outer_ratio": 1.0}
     plain, aberrated = (changed(da_mobile, stops=[ring | more]) for more in ({}, {"wavefront_nm": {"spherical": 1e-6}}))
     np.testing.assert_allclose(psf(aberrated, 0.12, "G", "D65"), psf(plain, 0.12, "G", "D65"), atol=1e-8)
+
+
+@pytest.mark.parametrize("depth_m", [0.5, 0.2])
+@pytest.mark.parametrize("channel", ["G", "IR"])
+def test_pixels_hold_the_integral_of_the_profile(da_mobile, depth_m, channel):
+    """Set-up: a point off the centre of a pixel, in focus and out of it; 20 Gauss-Legendre nodes per pixel and axis, at
+    each of which the profile is computed. Expectation: the kernel to 2e-4 of its peak.
+    """
+    size, offset = 15, (0.23, -0.41)
+    place, weight = np.polynomial.legendre.leggauss(20)
+    fine = (np.arange(size)[:, None] + (place + 1) / 2).ravel() - size / 2
+    radius = np.hypot(fine[:, None] - offset[0], fine[None, :] - offset[1])
+    blur = np.array([geometry.blur_px(da_mobile, depth_m)])
+    profiles, _ = radial_profiles(da_mobile, blur, illuminant("D65"), radius.ravel())
+    nodes = profiles[0, CHANNELS.index(channel)].reshape(size, 20, size, 20)
+    expected = np.einsum("iajb,a,b", nodes, weight / 2, weight / 2)
+    kernel = psf(da_mobile, depth_m, channel, "D65", offset_px=offset, size=size)
+    np.testing.assert_allclose(kernel / expected.max(), expected / expected.max(), atol=2e-4)
 
 
 @pytest.mark.parametrize("field_px", [(0, 0), (100, 0)])
