@@ -5,13 +5,12 @@ Tested in tests/dasim/dataset/test_make.py.
 
 from __future__ import annotations
 
-import resource
 import shutil
-import sys
 import tempfile
 
 from dasim.base.errors import InputError, describe_error
 from dasim.base.executors import Outcome
+from dasim.base.memory import peak_bytes
 from dasim.dataset import sample, storage, tar_files
 from dasim.dataset.plan import SUMS
 from dasim.dataset.sample import Job
@@ -47,5 +46,4 @@ def work(job: Job, index: int) -> Outcome:
             storage.remove(job.out, part)
     except Exception as error:  # stores raise errors of their own types
         return Outcome(index, f"cannot be written: {describe_error(error)}", fatal=True)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
-    return Outcome(index, None, False, False, result.seconds, result.render_s, peak, result.row)
+    return Outcome(index, None, False, False, result.seconds, result.render_s, peak_bytes() / 1e6, result.row)

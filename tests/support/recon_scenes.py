@@ -58,7 +58,7 @@ def stop_kernels(light: str, step: float = 0.5) -> tuple[np.ndarray, np.ndarray,
     for stop in cam.stops:
         one = cam.model_copy(update={"stops": (stop,)})
         profile, signal = pointspread.radial_profiles(one, levels * per_level, illuminants.illuminant(light), radius)
-        kernels.append(pointspread.pixel_kernels(profile, radius, 75).astype(np.float32))
+        kernels.append(pointspread.pixel_kernels(profile, radius, 75, nodes=6).astype(np.float32))
         signals.append(signal)
     signals = np.array(signals)
     kernels = np.array(kernels)

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import json
 import math
-import resource
-import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dasim.base.memory import peak_bytes
 from dasim.files.folders import software_versions
 from validation.scores.figures import Figure
 
@@ -53,12 +52,6 @@ def plain_value(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _peak_memory_mb() -> float:
-    """Largest resident set of this process so far, in MB."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 1e6 if sys.platform == "darwin" else peak / 1e3  # bytes there, kilobytes elsewhere
-
-
 def write_results(path: Path, entries: list[Claim], timings_s: dict[str, float]) -> None:
     """Write ``results.json``; NaN and infinity become null."""
     plain = [{k: plain_value(v) for k, v in asdict(entry).items()} for entry in entries]
@@ -66,7 +59,7 @@ def write_results(path: Path, entries: list[Claim], timings_s: dict[str, float])
         "schema": RESULTS_SCHEMA,
         "claims": plain,
         "timings_s": {name: round(seconds, 2) for name, seconds in timings_s.items()},
-        "peak_memory_mb": round(_peak_memory_mb()),
+        "peak_memory_mb": round(peak_bytes() / 1e6),
         "software": software_versions(),
     }
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -50,25 +50,27 @@ def test_clean_pictures_have_no_bias(level):
     assert abs(np.median(estimate[textured]) - level) < CLEAN_BIAS_LEVELS
 
 
+SUBJECTS = (("D65", recon_scenes.slanted(384, 512, 2, 26)), ("A", recon_scenes.staircase(384, 512, 3, 24, 4)))
+
+
+def estimated(light, level, seed=1):
+    """True level, estimate and confidence, one value per block, of a picture with noise of its own."""
+    bank = recon_scenes.bank()
+    scene = recon_scenes.make(level, light=light, white_e=3500 if light == "D65" else 2500, seed=seed)
+    raw, saturated = mosaic.linearise(scene.capture)
+    index = bank.lights.index(light)
+    variances = raw_levels.variances(raw, scene.capture)
+    kernels, white = bank.kernel[index], bank.signature[index]
+    frame = raw_levels.Frame(raw, variances, saturated, scene.capture.camera, kernels, white)
+    estimate, confidence = raw_levels.raw_levels(frame, PAPER)
+    true = cv2.resize(level.astype(np.float32), estimate.shape[::-1], interpolation=cv2.INTER_AREA)
+    return true, estimate, confidence
+
+
 @pytest.fixture(scope="module")
 def noisy():
-    """A slanted plane over all levels and a staircase: true level, estimate and confidence, one value per block."""
-    bank = recon_scenes.bank()
-    results = []
-    for light, level in (
-        ("D65", recon_scenes.slanted(384, 512, 2, 26)),
-        ("A", recon_scenes.staircase(384, 512, 3, 24, 4)),
-    ):
-        scene = recon_scenes.make(level, light=light, white_e=3500 if light == "D65" else 2500)
-        raw, saturated = mosaic.linearise(scene.capture)
-        index = bank.lights.index(light)
-        variances = raw_levels.variances(raw, scene.capture)
-        kernels, white = bank.kernel[index], bank.signature[index]
-        frame = raw_levels.Frame(raw, variances, saturated, scene.capture.camera, kernels, white)
-        estimate, confidence = raw_levels.raw_levels(frame, PAPER)
-        true = cv2.resize(level.astype(np.float32), estimate.shape[::-1], interpolation=cv2.INTER_AREA)
-        results.append((true, estimate, confidence))
-    return results
+    """A slanted plane over all levels and a staircase, see :func:`estimated`."""
+    return [estimated(light, level) for light, level in SUBJECTS]
 
 
 def away_from_steps(true):
@@ -76,23 +78,34 @@ def away_from_steps(true):
     return cv2.dilate(true, size) - cv2.erode(true, size) < 3
 
 
-def test_noisy_mosaics_keep_the_planned_error(noisy):
-    for true, estimate, _ in noisy:
-        good = np.isfinite(estimate) & away_from_steps(true)
-        assert good.mean() > 0.2
-        assert np.median(np.abs(estimate - true)[good]) < NOISY_MEDIAN_LEVELS
+@pytest.fixture(scope="module")
+def draws():
+    """Five draws of the noise of each of them: median errors differ by up to a sixth, since a frame has few windows."""
+    return [[estimated(light, level, seed) for seed in range(5)] for light, level in SUBJECTS]
 
 
-def test_no_bin_of_levels_is_biased(noisy):
-    """In each bin of six levels, from where blur is visible, the median signed error stays below the limit of the
-    absolute error.
+@pytest.mark.slow
+def test_noisy_mosaics_keep_the_planned_error(draws):
+    for of_subject in draws:
+        errors = []
+        for true, estimate, _ in of_subject:
+            good = np.isfinite(estimate) & away_from_steps(true)
+            assert good.mean() > 0.2
+            errors.append(np.median(np.abs(estimate - true)[good]))
+        assert np.mean(errors) < NOISY_MEDIAN_LEVELS
+
+
+@pytest.mark.slow
+def test_no_bin_of_levels_is_biased(draws):
+    """In each bin of six levels, from where blur is visible, the median signed error, the mean of the draws, stays
+    below the limit of the absolute error.
     """
-    true, estimate, _ = noisy[0]
-    good = np.isfinite(estimate) & away_from_steps(true)
     for low in (2, 8, 14, 20):
-        inside = good & (true >= low) & (true < low + 6)
-        if inside.sum() > 300:
-            assert abs(np.median((estimate - true)[inside])) < NOISY_MEDIAN_LEVELS
+        biases = []
+        for true, estimate, _ in draws[0]:
+            inside = np.isfinite(estimate) & away_from_steps(true) & (true >= low) & (true < low + 6)
+            biases.append(np.median((estimate - true)[inside]) if inside.sum() > 300 else 0.0)
+        assert abs(np.mean(biases)) < NOISY_MEDIAN_LEVELS
 
 
 def test_confidence_ranks_errors(noisy):

@@ -35,11 +35,12 @@ GAMMA = 2.2
 EXPOSURE_S = 0.02
 
 _TIMED = """
-import json, resource, sys, time
+import json, sys, time
 from pathlib import Path
 import numpy as np
 from scipy import fft
 import dasim, recon
+from dasim.base.memory import peak_bytes
 folder, preset = Path(sys.argv[1]), recon.PRESETS[sys.argv[2]]
 camera, bank = dasim.load_camera("da-mobile"), recon.load_bank(folder / "bank.npz")
 recon.reconstruct(recon.load_raw(folder / "small.npy", camera), bank, preset)  # loads the compiled functions
@@ -47,7 +48,7 @@ shot = recon.load_raw(folder / "frame.npy", camera)
 begin = time.perf_counter()
 result = recon.reconstruct(shot, bank, preset)
 total = time.perf_counter() - begin
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+peak = peak_bytes()
 frame = shot.raw_dn.astype(np.float32)
 times = []
 for _ in range(5):

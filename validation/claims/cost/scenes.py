@@ -185,8 +185,9 @@ SPEED_TRIANGLES = 500_000
 SPEED_EXCLUDED = ("staircase", "depth-steps")  # test targets, which stand for many similar scenes
 
 _TIMED = """
-import json, resource, sys, time
+import json, sys, time
 import dasim
+from dasim.base.memory import peak_bytes
 name, size, spp, renders = json.loads(sys.argv[1])
 scene = dasim.load_scene(name)
 camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *size), scene)
@@ -195,7 +196,7 @@ for _ in range(renders):
     begin = time.perf_counter()
     shot = dasim.simulate(scene, camera, 0, spp=spp)
     seconds.append(time.perf_counter() - begin)
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+peak = peak_bytes()
 about = shot.capture.provenance
 print(json.dumps({"first_s": seconds[0], "s": seconds[-1], "memory_gb": peak / 1e9, "spp": about["spp"],
                   "share": max(about["rendering_noise_share"]["50"].values())}))
