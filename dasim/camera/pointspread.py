@@ -30,7 +30,6 @@ from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.camera.pixel_integral import deposited, pixel_kernels
 from dasim.camera.pupil_pattern import pupil_pattern, turned
-from dasim.camera.radial_pattern import SUBPIXELS
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.camera.wavefront import Wavefront
@@ -167,12 +166,8 @@ def _pattern_kernel(
     weights = radiometry.stop_response(camera, stop, angle_deg) * spectrum[..., None, :]
     f_number, colour_px = working_f_number(camera, 1.0), geometry.chromatic_blur_px(camera)
     oblique = None if field_px == AXIS else geometry.foreshortening(camera, field_px)
-    fine, share = (np.arange(size * SUBPIXELS) + 0.5) / SUBPIXELS - size / 2, np.full(SUBPIXELS, 1 / SUBPIXELS)
-    few = oblique is not None or not wavefront.is_flat(front)
-    if few:  # all stops are transformed in these cases: Gauss-Legendre quadrature needs fewer nodes
-        count = max(PIXEL_NODES, int(np.ceil(NODES_PER_RING / finest_ring_px(camera))))
-        nodes, share = radial_pattern.unit_nodes(count)
-        fine = (np.arange(size)[:, None] + nodes).ravel() - size / 2
+    nodes, share = radial_pattern.unit_nodes(max(PIXEL_NODES, int(np.ceil(NODES_PER_RING / finest_ring_px(camera)))))
+    fine = (np.arange(size)[:, None] + nodes).ravel() - size / 2
     total = np.zeros((*weights.shape[:-1], size, size))
     for wavelength_nm, weight in grid.bands(weights):
         blur = blur_px + float(np.interp(wavelength_nm, grid.WAVELENGTH_NM, colour_px))
@@ -182,7 +177,7 @@ def _pattern_kernel(
             phase = wavefront.at(front, wavelength_nm, grid.BAND_NM)
             density = pupil_pattern(stop, blur / (8 * scale), y, x, phase, oblique, turn_rad) / scale**2
             density = density.reshape(size, len(share), size, len(share))
-            kernel = np.einsum("iajb,a,b", density, share, share) if few else density.mean(axis=(1, 3))
+            kernel = np.einsum("iajb,a,b", density, share, share)
         else:
             transmitted, place = stops.pupil(stop)
             pupil = place[:, None], place[None, :]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dasim.base.toml import parse
-from dasim.camera import geometry
+from dasim.camera import geometry, pointspread
 from dasim.camera.pointspread import psf, radial_profiles
 from dasim.camera.specification import Camera
 from dasim.spectra.grid import CHANNELS
@@ -44,6 +44,19 @@ def test_pixels_hold_the_integral_of_the_profile(da_mobile, depth_m, channel):
     expected = np.einsum("iajb,a,b", nodes, weight / 2, weight / 2)
     kernel = psf(da_mobile, depth_m, channel, "D65", offset_px=offset, size=size)
     np.testing.assert_allclose(kernel / expected.max(), expected / expected.max(), atol=2e-4)
+
+
+def test_kernels_of_masks_have_nodes_enough(monkeypatch):
+    """Set-up: a coded aperture in focus and out of it, with the bundled number of nodes and with 14 per pixel and axis.
+    Expectation: the kernel to 3e-4 of its peak.
+    """
+    for depth_m in (0.5, 0.2):
+        few = psf("coded-mobile", depth_m, "G", "D65", size=15)
+        with monkeypatch.context() as patch:
+            patch.setattr(pointspread, "PIXEL_NODES", 14)
+            many = psf("coded-mobile", depth_m, "G", "D65", size=15)
+        assert not np.array_equal(few, many)
+        np.testing.assert_allclose(few / many.max(), many / many.max(), atol=3e-4)
 
 
 @pytest.mark.parametrize("field_px", [(0, 0), (100, 0)])
